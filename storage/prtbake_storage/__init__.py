@@ -1,0 +1,1 @@
+"""Blobs, artefact files, records and the queue: everything that outlives a process."""

@@ -1,0 +1,1 @@
+"""Wire models shared by service, workers and SDK."""

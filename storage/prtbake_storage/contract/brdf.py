@@ -1,0 +1,68 @@
+"""BRDFs as JSON: one model a class, told apart by ``model``."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from prtbake_storage.contract.base import Fraction, Positive, Rgb, Wire
+
+Reflectance = Fraction | Rgb
+"""One number for grey, three for linear Rec.709."""
+
+
+class LambertSpec(Wire):
+    """Diffuse: ``albedo / pi``."""
+
+    model: Literal["lambert"] = "lambert"
+    albedo: Reflectance = 1.0
+
+
+class PhongSpec(Wire):
+    """Energy-normalised Phong: ``kd / pi + ks (n + 2) / (2 pi) max(0, wo . r)^n``."""
+
+    model: Literal["phong"] = "phong"
+    kd: Reflectance = 0.0
+    ks: Reflectance = 1.0
+    exponent: Annotated[float, Field(ge=1.0, le=10_000.0)] = 10.0
+
+
+class BlinnPhongSpec(Wire):
+    """Blinn's half-vector lobe, normalised; ``exponent`` applies to ``n . h``."""
+
+    model: Literal["blinn_phong"] = "blinn_phong"
+    kd: Reflectance = 0.0
+    ks: Reflectance = 1.0
+    exponent: Annotated[float, Field(ge=1.0, le=10_000.0)] = 40.0
+
+
+class CookTorranceSpec(Wire):
+    """Cook-Torrance with a Beckmann distribution of slope ``m`` and Schlick's Fresnel term."""
+
+    model: Literal["cook_torrance"] = "cook_torrance"
+    kd: Reflectance = 0.3
+    ks: Reflectance = 0.7
+    m: Annotated[float, Field(ge=0.01, le=2.0)] = 0.5
+    f0: Fraction | Rgb = 0.1
+
+
+class GgxSpec(Wire):
+    """Trowbridge-Reitz (GGX) microfacets of width ``alpha`` with Smith's height-correlated term."""
+
+    model: Literal["ggx"] = "ggx"
+    kd: Reflectance = 0.0
+    ks: Reflectance = 1.0
+    alpha: Annotated[float, Field(ge=0.01, le=1.0)] = 0.5
+    f0: Fraction | Rgb = 0.04
+
+
+BrdfSpec = Annotated[
+    LambertSpec | PhongSpec | BlinnPhongSpec | CookTorranceSpec | GgxSpec,
+    Field(discriminator="model"),
+]
+brdf_adapter: TypeAdapter[
+    LambertSpec | PhongSpec | BlinnPhongSpec | CookTorranceSpec | GgxSpec
+] = TypeAdapter(BrdfSpec)
+__all__ = [
+    "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LambertSpec", "PhongSpec",
+    "Positive", "brdf_adapter",
+]  # fmt: skip

@@ -1,0 +1,222 @@
+"""Jobs as they go over the wire: requests by kind, state, progress, artefacts, estimates."""
+
+from datetime import datetime
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, field_validator
+
+from prtbake_storage.contract.base import Digest, Wire
+from prtbake_storage.contract.brdf import BrdfSpec
+from prtbake_storage.contract.settings import (
+    AssetSettings,
+    BakeSettings,
+    CompressSettings,
+    Effects,
+    FitLightSettings,
+    Quality,
+    ReceiverPlane,
+    RenderSettings,
+    ValidateSettings,
+)
+
+
+class JobState(StrEnum):
+    """The last four are terminal and closed."""
+
+    queued = "queued"
+    running = "running"
+    cancel_requested = "cancel_requested"
+    succeeded = "succeeded"
+    failed = "failed"
+    canceled = "canceled"
+    expired = "expired"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the job will never change again."""
+        return self in TERMINAL
+
+
+TERMINAL = frozenset(
+    {JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired}
+)
+
+JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset"]
+ResourceId = Annotated[str, Field(pattern=r"^(mesh|brdf|environment)-[0-9a-f]{16}$")]
+ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,100}$")]
+"""``JOB/NAME`` of an artefact of an earlier job."""
+
+
+class _Request(Wire):
+    label: str | None = Field(default=None, max_length=200)
+    priority: Annotated[int, Field(ge=1, le=100)] = 50
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    timeout_s: Annotated[int, Field(ge=1, le=7 * 86400)] | None = None
+
+
+class _SceneRequest(_Request):
+    mesh: ResourceId
+    brdf: ResourceId | BrdfSpec
+    albedo_texture: Digest | None = None
+    receiver: ReceiverPlane | None = None
+    effects: Effects = Effects()
+
+
+class BakeRequest(_SceneRequest):
+    """Simulate transport: gives ``transfer.h5``."""
+
+    kind: Literal["bake"] = "bake"
+    settings: BakeSettings = BakeSettings()
+
+
+class CompressRequest(_Request):
+    """Compress a transfer artefact: gives ``asset.h5``."""
+
+    kind: Literal["compress"] = "compress"
+    transfer: ArtefactRef
+    settings: CompressSettings = CompressSettings()
+
+
+class FitLightRequest(_Request):
+    """Fit an environment: gives ``light.h5``."""
+
+    kind: Literal["fit_light"] = "fit_light"
+    environment: ResourceId
+    settings: FitLightSettings = FitLightSettings()
+
+
+class RenderRequest(_Request):
+    """Relight an asset: gives PNG and EXR pictures."""
+
+    kind: Literal["render"] = "render"
+    asset: ArtefactRef
+    light: ArtefactRef
+    settings: RenderSettings = RenderSettings()
+
+
+class ValidateRequest(_Request):
+    """Hold an asset against the reference: gives pictures, metrics and the error budget."""
+
+    kind: Literal["validate"] = "validate"
+    asset: ArtefactRef
+    transfer: ArtefactRef
+    light: ArtefactRef
+    environment: ResourceId
+    settings: ValidateSettings = ValidateSettings()
+
+
+class AssetRequest(_SceneRequest):
+    """The main job: bake, compress, fit, render, validate, report."""
+
+    kind: Literal["asset"] = "asset"
+    environment: ResourceId
+    quality: Quality = "medium"
+    settings: AssetSettings = AssetSettings()
+
+
+JobRequest = Annotated[
+    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest,
+    Field(discriminator="kind"),
+]
+job_request_adapter: TypeAdapter[
+    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+] = TypeAdapter(JobRequest)
+
+
+class Progress(Wire):
+    """Where a job stands; ``fraction`` never falls."""
+
+    stage: str = ""
+    stage_index: int = 0
+    stage_count: int = 0
+    fraction: float = 0.0
+    done: float = 0
+    total: float = 0
+    unit: str = ""
+    elapsed_s: float = 0.0
+    eta_s: float | None = None
+
+
+class JobError(Wire):
+    """Why a job failed: ``input`` is the caller's to mend, ``resource`` the operator's, ``internal`` ours."""
+
+    kind: Literal["input", "resource", "internal"]
+    code: str
+    detail: str
+    pointer: str | None = None
+
+
+class Artefact(Wire):
+    """One file of a finished job."""
+
+    name: str
+    size: int
+    media_type: str
+    sha256: Digest
+
+
+class Job(Wire):
+    """A job as the API shows it."""
+
+    id: str
+    kind: str
+    state: JobState
+    request: dict[str, Any]
+    label: str | None = None
+    created: datetime
+    started: datetime | None = None
+    finished: datetime | None = None
+    progress: Progress = Progress()
+    error: JobError | None = None
+    retry_of: str | None = None
+    result: dict[str, Any] | None = None
+    artefacts: list[Artefact] = Field(default_factory=list)
+
+
+class JobPage(Wire):
+    """A page of jobs; ``next`` is the cursor of the next one."""
+
+    items: list[Job]
+    next: str | None = None
+
+
+class Estimate(Wire):
+    """What a job would do and cost, without running it."""
+
+    plan: dict[str, Any]
+    seconds: dict[str, float]
+    total_seconds: float
+    artefact_bytes: dict[str, int]
+    peak_memory_bytes: int
+    errors: dict[str, float]
+    warnings: list[str] = Field(default_factory=list)
+
+    @field_validator("seconds")
+    @classmethod
+    def _not_negative(cls, seconds: dict[str, float]) -> dict[str, float]:
+        if any(value < 0 for value in seconds.values()):
+            raise ValueError("seconds cannot be negative")
+        return seconds
+
+
+class Event(Wire):
+    """One entry of a job's history, as server-sent events replay it."""
+
+    id: int
+    job: str
+    type: Literal["state", "progress", "log"]
+    data: dict[str, Any]
+    created: datetime
+
+
+class Problem(Wire):
+    """RFC 9457 problem details with a stable ``code`` and a JSON pointer to the field."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str
+    code: str
+    pointer: str | None = None
+    errors: list[dict[str, Any]] = Field(default_factory=list)

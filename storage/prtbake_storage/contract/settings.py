@@ -1,0 +1,116 @@
+"""Settings of every stage, with the papers' values as ``medium``-to-``high`` defaults."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator
+
+from prtbake_storage.contract.base import Fraction, Positive, Vec3, Wire
+
+Quality = Literal["draft", "low", "medium", "high", "reference"]
+Switch = Literal["auto", "on", "off"]
+CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
+
+
+class Effects(Wire):
+    """Which effects to simulate; ``auto`` lets planning decide."""
+
+    self_shadowing: Switch = "auto"
+    receiver_shadows: Switch = "auto"
+    view_dependence: Switch = "auto"
+
+
+class ReceiverPlane(Wire):
+    """A diffuse plane under the object, ``extent`` object diagonals wide."""
+
+    resolution: Annotated[int, Field(ge=2, le=1024)] = 64
+    extent: Annotated[float, Field(gt=0.0, le=100.0)] = 2.0
+    gap: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    albedo: Fraction = 0.7
+
+
+class BakeSettings(Wire):
+    """Transport: ``cube_resolution`` N gives 6 N^2 directions; ``supersample`` S traces S^2 rays each."""
+
+    cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
+    supersample: Annotated[int, Field(ge=1, le=8)] = 1
+    n_centres: CentreCount = 642
+    bandwidth: Positive | None = None
+    n_terms: Annotated[int, Field(ge=1, le=256)] | None = None
+    term_energy_lost: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    frame_seed: int | None = None
+    tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    threads: Annotated[int, Field(ge=1, le=64)] = 1
+
+
+class CompressSettings(Wire):
+    """Compression; ``None`` leaves the choice to planning."""
+
+    method: Literal["auto", "cpca", "cta"] = "auto"
+    n_clusters: Annotated[int, Field(ge=1, le=4096)] | None = None
+    ranks: tuple[int, int, int] | None = None
+    n_components: Annotated[int, Field(ge=1, le=512)] | None = None
+    max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+
+    @field_validator("ranks")
+    @classmethod
+    def _positive(cls, ranks: tuple[int, int, int] | None) -> tuple[int, int, int] | None:
+        if ranks is not None and min(ranks) < 1:
+            raise ValueError("ranks are (view, light, vert), each at least 1")
+        return ranks
+
+
+class FitLightSettings(Wire):
+    """Scattered SRBF fit of an environment."""
+
+    method: Literal["srbf_scattered"] = "srbf_scattered"
+    n_lobes: Annotated[int, Field(ge=1, le=2000)] = 162
+    max_iterations: Annotated[int, Field(ge=1, le=200)] = 6
+
+
+class Camera(Wire):
+    """A pinhole; None for eye and target lets the renderer frame the object from ``azimuth``."""
+
+    name: str = Field(default="front", pattern=r"^[a-z0-9_-]{1,40}$")
+    eye: Vec3 | None = None
+    target: Vec3 | None = None
+    up: Vec3 = (0.0, 1.0, 0.0)
+    fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 35.0
+    azimuth_deg: float = 30.0
+    elevation_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 20.0
+
+
+class RenderSettings(Wire):
+    """Previews: one picture a camera, and ``turntable_frames`` with the light turning."""
+
+    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = [Camera()]
+    width: Annotated[int, Field(ge=16, le=4096)] = 640
+    height: Annotated[int, Field(ge=16, le=4096)] = 480
+    rotation_deg: Vec3 = (0.0, 0.0, 0.0)
+    turntable_frames: Annotated[int, Field(ge=0, le=360)] = 0
+    backend: Literal["auto", "egl", "cpu"] = "auto"
+    exposure: Positive | None = None
+
+
+class ValidateSettings(Wire):
+    """Reference pictures: ``passes`` x ``samples`` light samples give the value and its variance."""
+
+    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = [
+        Camera(),
+        Camera(name="back", azimuth_deg=200.0, elevation_deg=35.0),
+    ]
+    width: Annotated[int, Field(ge=16, le=2048)] = 192
+    height: Annotated[int, Field(ge=16, le=2048)] = 144
+    passes: Annotated[int, Field(ge=2, le=256)] = 8
+    samples: Annotated[int, Field(ge=1, le=65536)] = 128
+    rotations_deg: list[Vec3] = [(0.0, 0.0, 0.0)]
+
+
+class AssetSettings(Wire):
+    """Overrides of a quality's settings, stage by stage: only the fields given differ from it."""
+
+    bake: dict[str, Any] = Field(default_factory=dict)
+    compress: dict[str, Any] = Field(default_factory=dict)
+    fit_light: dict[str, Any] = Field(default_factory=dict)
+    render: dict[str, Any] = Field(default_factory=dict)
+    validation: dict[str, Any] = Field(default_factory=dict)

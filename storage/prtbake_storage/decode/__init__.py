@@ -1,0 +1,1 @@
+"""Plain-numpy decoders of PRT assets, shared by SDK, previews and tests."""

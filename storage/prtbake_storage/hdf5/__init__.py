@@ -1,0 +1,1 @@
+"""The artefact files: schema, reader, writer."""

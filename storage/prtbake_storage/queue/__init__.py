@@ -1,0 +1,1 @@
+"""The job engine behind one small interface."""

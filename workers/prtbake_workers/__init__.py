@@ -1,0 +1,1 @@
+"""The numerical core and the jobs that run it."""

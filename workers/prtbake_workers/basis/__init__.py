@@ -1,0 +1,1 @@
+"""Spherical bases: evaluation, Gram matrices, product integrals."""

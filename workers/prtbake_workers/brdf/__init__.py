@@ -1,0 +1,1 @@
+"""Reflectance models and their factorisation; one model a file."""

@@ -1,0 +1,1 @@
+"""Clustered compression of transfer data."""

@@ -1,0 +1,1 @@
+"""Distant light: reading, layouts, sampling, fitting, procedural skies."""

@@ -1,0 +1,1 @@
+"""Meshes, frames, ray acceleration and the procedural shapes."""

@@ -1,0 +1,1 @@
+"""Pictures from compressed assets, and measures between pictures."""

@@ -1,0 +1,1 @@
+"""The account of a job: errors, effects, seconds, bytes; JSON and HTML."""

@@ -1,0 +1,1 @@
+"""Light transport to a surface: visibility, projection, reference integration."""

@@ -1,0 +1,1 @@
+"""The chain of pictures between the reference and the asset: the error budget."""
