@@ -156,6 +156,12 @@ class Artefact(Wire):
     sha256: Digest
 
 
+class ArtefactManifest(Wire):
+    """The files of a job."""
+
+    items: list[Artefact]
+
+
 class Job(Wire):
     """A job as the API shows it."""
 

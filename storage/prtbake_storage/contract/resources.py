@@ -99,6 +99,13 @@ class Resource(Wire):
     problem: dict[str, Any] | None = None
 
 
+class ResourcePage(Wire):
+    """A page of resources; ``next`` is the cursor of the next one."""
+
+    items: list[Resource]
+    next: str | None = None
+
+
 class MissingRequest(Wire):
     """Digests that a client is about to upload."""
 

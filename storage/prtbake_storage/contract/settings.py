@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Fraction, Positive, Vec3, Wire
 
@@ -106,6 +106,15 @@ class ValidateSettings(Wire):
     rotations_deg: list[Vec3] = [(0.0, 0.0, 0.0)]
 
 
+_STAGES: dict[str, type[Wire]] = {
+    "bake": BakeSettings,
+    "compress": CompressSettings,
+    "fit_light": FitLightSettings,
+    "render": RenderSettings,
+    "validation": ValidateSettings,
+}
+
+
 class AssetSettings(Wire):
     """Overrides of a quality's settings, stage by stage: only the fields given differ from it."""
 
@@ -114,3 +123,10 @@ class AssetSettings(Wire):
     fit_light: dict[str, Any] = Field(default_factory=dict)
     render: dict[str, Any] = Field(default_factory=dict)
     validation: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("bake", "compress", "fit_light", "render", "validation")
+    @classmethod
+    def _legal(cls, fields: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        """Refuse here, at submission, what the stage itself would refuse."""
+        _STAGES[str(info.field_name)].model_validate(fields)
+        return fields
