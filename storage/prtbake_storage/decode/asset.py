@@ -1,0 +1,277 @@
+"""What a compressed asset and a fitted light are, as plain numpy arrays.
+
+An asset is one mesh cut into parts.  Every part has a material and the factors of its compressed
+transfer tensor T (terms x coeffs x verts), whose light axis is whitened (docs/theory, "The
+metric"): a vertex x of cluster c has
+
+    CTA   T_x = U_view  uf^-1(V_c^T w_x)  U_light,c^T                  [Tsai2006]_ eq. (18)
+    CPCA  T_x = mean_c + sum_p w_xp component_cp                       [Sloan2003]_ section 4
+
+Cluster arrays are zero padded to the largest rank of the part, so they are plain arrays.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+Method = Literal["cta", "cpca"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A run of vertices with one material and one set of factors.
+
+    Parameters
+    ----------
+    name
+        What the part is: ``object``, ``receiver``.
+    vertex_range
+        First vertex and one past the last, in the asset's numbering.
+    material
+        The BRDF as JSON.
+    method
+        ``cta`` uses ``view_basis``, ``light_bases``, ``dual_bases``; ``cpca`` uses ``means`` and
+        ``components`` and has ``R_view`` = 1.
+    labels
+        (verts,) cluster of each vertex of the part.
+    weights
+        (verts, R) projected weights w_x, zero beyond the cluster's own rank.
+    view_basis
+        (terms, R_view) orthonormal columns; [[1]] for ``cpca``.
+    view_texture
+        (res, res, R_view, channels) pre-filtered phi' = phi U_view on the hemi-octahedral map of
+        ``view_map``; None where phi is the constant 1.
+    light_bases
+        (clusters, coeffs, R_light) U_light,c.
+    dual_bases
+        (clusters, R_vert, R_view * R_light) V_c; a row unfolds to (R_view, R_light), light last.
+    means, components
+        (clusters, coeffs) and (clusters, pcs, coeffs).
+    frames
+        (verts, 3, 3) rows tangent, bitangent, normal; needed with a view texture.
+    albedo
+        (1,) or (3,) multiplies every colour of the part.
+    albedo_texture
+        (height, width, 3) linear Rec.709, row 0 at v = 1, repeated outside [0, 1]; or None.
+    ranks
+        (clusters, 3) true (view, light, vert) ranks; for ``cpca`` (1, coeffs, components used).
+    factorisation
+        The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
+    """
+
+    name: str
+    vertex_range: tuple[int, int]
+    material: Mapping[str, Any]
+    method: Method
+    labels: I32
+    weights: F32
+    albedo: F32
+    ranks: I32
+    view_basis: F32 = field(default_factory=lambda: np.ones((1, 1), np.float32))
+    view_texture: F32 | None = None
+    light_bases: F32 | None = None
+    dual_bases: F32 | None = None
+    means: F32 | None = None
+    components: F32 | None = None
+    frames: F32 | None = None
+    albedo_texture: F32 | None = None
+    factorisation: Mapping[str, Any] | None = None
+
+    @property
+    def n_vertices(self) -> int:
+        """Vertices of the part."""
+        return self.vertex_range[1] - self.vertex_range[0]
+
+    @property
+    def n_clusters(self) -> int:
+        """Clusters of the part."""
+        return int(self.ranks.shape[0])
+
+    @property
+    def n_view(self) -> int:
+        """R_view."""
+        return int(self.view_basis.shape[1])
+
+    def factors(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Name and array of everything that the compression made."""
+        for name in ("labels", "weights", "view_basis", "light_bases", "dual_bases", "means",
+                     "components"):  # fmt: skip
+            array = getattr(self, name)
+            if array is not None:
+                yield name, array
+
+    @property
+    def nbytes(self) -> dict[str, int]:
+        """Bytes in memory: ``factors``, ``view_texture``, ``frames``, ``albedo_texture``."""
+        sizes = {"factors": sum(array.nbytes for _, array in self.factors())}
+        for name in ("view_texture", "frames", "albedo_texture"):
+            array = getattr(self, name)
+            sizes[name] = 0 if array is None else int(array.nbytes)
+        return sizes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asset:
+    """A mesh with compressed transfer, ready to be relit.
+
+    ``centres`` (coeffs, 3) and ``bandwidth`` name the Gaussian SRBFs whose whitened span the light
+    axis lives in.  Positions are in scene units, normals of unit length.
+    """
+
+    positions: F32
+    faces: I32
+    normals: F32
+    uv: F32 | None
+    parts: tuple[Part, ...]
+    centres: F64
+    bandwidth: float
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def n_vertices(self) -> int:
+        """Vertices of all parts."""
+        return int(self.positions.shape[0])
+
+    @property
+    def n_coeffs(self) -> int:
+        """SRBF centres."""
+        return int(self.centres.shape[0])
+
+    @property
+    def part_of_vertex(self) -> I32:
+        """(verts,) index of the part each vertex belongs to."""
+        owner = np.full(self.n_vertices, -1, np.int32)
+        for index, part in enumerate(self.parts):
+            owner[slice(*part.vertex_range)] = index
+        return owner
+
+    @property
+    def nbytes(self) -> dict[str, int]:
+        """Bytes in memory by group: ``mesh`` and the sums of the parts' groups."""
+        uv = 0 if self.uv is None else int(self.uv.nbytes)
+        mesh = self.positions.nbytes + self.faces.nbytes + self.normals.nbytes
+        sizes = {"mesh": int(mesh) + uv}
+        for part in self.parts:
+            for name, value in part.nbytes.items():
+                sizes[name] = sizes.get(name, 0) + value
+        return sizes
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightFit:
+    """An environment as a sum of scattered Gaussian SRBFs, L(d) = sum_j L_j G(d . xi_j; lam_j).
+
+    ``centres`` (lobes, 3) unit, ``bandwidths`` (lobes,) positive, ``coefficients`` (lobes, 3)
+    linear RGB radiance; ``error`` is the squared-error ratio of the fit.  [Tsai2006]_ eq. (21).
+    """
+
+    centres: F64
+    bandwidths: F64
+    coefficients: F64
+    error: float = 0.0
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def check_asset(asset: Asset) -> None:
+    """Hold an asset against its own rules.
+
+    Raises
+    ------
+    ValueError
+        Naming the first array with a wrong shape, index or number.
+    """
+    verts = asset.n_vertices
+    _shape("mesh/positions", asset.positions, (verts, 3))
+    _shape("mesh/normals", asset.normals, (verts, 3))
+    _shape("mesh/faces", asset.faces, (len(asset.faces), 3))
+    _indices("mesh/faces", asset.faces, verts)
+    if asset.uv is not None:
+        _shape("mesh/uv", asset.uv, (verts, 2))
+    _shape("basis/centres", asset.centres, (asset.n_coeffs, 3))
+    if not (np.isfinite(asset.bandwidth) and asset.bandwidth > 0):
+        raise ValueError(f"basis/bandwidth is {asset.bandwidth}, not a positive number")
+    stop = 0
+    for index, part in enumerate(asset.parts):
+        if part.vertex_range[0] != stop or part.vertex_range[1] <= stop:
+            raise ValueError(
+                f"parts/{index}/vertex_range {part.vertex_range} does not follow {stop}"
+            )
+        stop = part.vertex_range[1]
+        _check_part(f"parts/{index}", part, asset.n_coeffs)
+        if part.albedo_texture is not None and asset.uv is None:
+            raise ValueError(f"parts/{index}/albedo_texture needs mesh/uv")
+    if stop != verts:
+        raise ValueError(f"parts cover {stop} of {verts} vertices")
+    owner = asset.part_of_vertex[asset.faces]
+    torn = np.flatnonzero((owner != owner[:, :1]).any(axis=1))
+    if torn.size:
+        raise ValueError(f"mesh/faces: triangle {torn[0]} joins two parts")
+
+
+def _check_part(where: str, part: Part, n_coeffs: int) -> None:
+    verts, clusters, n_view = part.n_vertices, part.n_clusters, part.n_view
+    _shape(f"{where}/clusters/ranks", part.ranks, (clusters, 3))
+    _shape(f"{where}/clusters/labels", part.labels, (verts,))
+    _indices(f"{where}/clusters/labels", part.labels, clusters)
+    n_weights = part.weights.shape[-1]
+    _shape(f"{where}/weights", part.weights, (verts, n_weights))
+    _shape(f"{where}/view_basis", part.view_basis, (part.view_basis.shape[0], n_view))
+    if part.method == "cta":
+        if part.light_bases is None or part.dual_bases is None:
+            raise ValueError(f"{where}: cta needs light_bases and dual_bases")
+        n_light = part.light_bases.shape[-1]
+        _shape(f"{where}/clusters/light_bases", part.light_bases, (clusters, n_coeffs, n_light))
+        dual_shape = (clusters, n_weights, n_view * n_light)
+        _shape(f"{where}/clusters/dual_bases", part.dual_bases, dual_shape)
+    else:
+        if part.means is None or part.components is None:
+            raise ValueError(f"{where}: cpca needs means and components")
+        if n_view != 1:
+            raise ValueError(f"{where}/view_basis: cpca has one view column, not {n_view}")
+        _shape(f"{where}/clusters/means", part.means, (clusters, n_coeffs))
+        _shape(f"{where}/clusters/components", part.components, (clusters, n_weights, n_coeffs))
+    if part.view_texture is not None:
+        res, channels = part.view_texture.shape[0], part.view_texture.shape[-1]
+        _shape(f"{where}/view_texture", part.view_texture, (res, res, n_view, channels))
+        if channels not in (1, 3):
+            raise ValueError(f"{where}/view_texture has {channels} channels, not 1 or 3")
+        if part.frames is None:
+            raise ValueError(f"{where}/frames: a view texture needs them")
+    elif n_view != 1:
+        raise ValueError(f"{where}/view_texture: {n_view} view columns need one")
+    if part.frames is not None:
+        _shape(f"{where}/frames", part.frames, (verts, 3, 3))
+    if part.albedo.shape not in {(1,), (3,)}:
+        raise ValueError(f"{where}/albedo has shape {part.albedo.shape}, not (1,) or (3,)")
+    _finite(f"{where}/albedo", part.albedo)
+    if part.albedo_texture is not None:
+        _shape(f"{where}/albedo_texture", part.albedo_texture,
+               (*part.albedo_texture.shape[:2], 3))  # fmt: skip
+
+
+def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+    if 0 in shape:
+        raise ValueError(f"{name} is empty: shape {shape}")
+    _finite(name, array)
+
+
+def _finite(name: str, array: NDArray[Any]) -> None:
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name} is not finite at {place}")
+
+
+def _indices(name: str, array: NDArray[Any], stop: int) -> None:
+    bad = np.argwhere((array < 0) | (array >= stop))
+    if bad.size:
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name} is {array[place]} at {place}, outside [0, {stop})")
