@@ -1,0 +1,69 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PYTEST := $(BIN)/pytest
+
+.PHONY: help setup gl demo ladder test check bench serve docs format lock clean
+.DEFAULT_GOAL := help
+
+help: ## List the targets
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+
+setup: $(STAMP) ## Build .venv with everything in it
+
+$(STAMP): requirements/dev.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "prtbake needs Python 3.11 or newer; set PYTHON=..." >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+gl: ## Install the two system packages that GL previews need, or name them
+	@if ldconfig -p 2>/dev/null | grep -q 'libEGL\.so\.1' && ldconfig -p | grep -q 'libGL\.so\.1'; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1 >/dev/null \
+	  || echo "Could not install libegl1 and libgl1: the CPU renderer serves instead."; \
+	else \
+	  echo "GL previews need the system packages libegl1 and libgl1 (apt-get install libegl1 libgl1);"; \
+	  echo "without them the CPU renderer serves instead."; \
+	fi
+
+demo: setup gl ## Run the main job on the teapot: asset, preview, validation and report in demo-output/
+	$(BIN)/prtbake demo --to demo-output
+
+ladder: setup gl ## What accuracy costs: draft, medium and high beside each other
+	$(BIN)/prtbake demo --ladder --to demo-output
+
+test: setup gl ## All tests that need nothing but the repository
+	$(PYTEST) -q -n 2 --dist loadfile -m "not acceptance and not real_data"
+	$(PYTEST) -q -m "acceptance and not real_data"
+
+check: setup ## Format, lint, types, layers
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: setup ## Format and mend what can be mended
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: setup ## Speed, memory and error beside a limit measured in the same run
+	$(BIN)/python tests/benchmarks/run.py
+
+serve: setup gl ## Service and two workers on loopback
+	$(BIN)/prtbake serve
+
+docs: setup ## Build the documentation, strictly
+	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict
+
+lock: ## Pin and hash the requirements (needs uv)
+	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/workers.txt
+	uv pip compile -q pyproject.toml --python-version 3.11 --extra server --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/server.txt
+	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --group dev --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/dev.txt
+
+clean: ## Remove what the other targets built
+	rm -rf $(VENV) site demo-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
