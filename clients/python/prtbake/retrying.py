@@ -1,0 +1,66 @@
+"""When to send a request again, and after how long; without I/O."""
+
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+
+from prtbake.calls import Call
+from prtbake.errors import PrtbakeError, ServiceUnreachable, error_from
+
+FIRST_PAUSE_S = 0.2
+BUSY = frozenset({429, 503})
+LONG_POLL_S = 20.0
+"""One long poll; proxies commonly cut idle connections after 30 to 60 s."""
+STREAM_SILENCE_S = 60.0
+"""Four heartbeats of the service without a byte mean a dead connection."""
+_LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
+
+
+def client_options(url: str, key: str | None, timeout_s: float) -> dict[str, Any]:
+    """Return what both httpx clients are built with."""
+    headers = {"Authorization": f"Bearer {key}"} if key else {}
+    # a proxy named in the environment cannot reach this machine's loopback
+    trust_env = urlsplit(url).hostname not in _LOOPBACK
+    return {"base_url": url, "headers": headers, "timeout": timeout_s, "trust_env": trust_env}
+
+
+def request_options(call: Call[Any], timeout_s: float) -> dict[str, Any]:
+    """Return the arguments of ``httpx.Client.request`` for a call."""
+    options: dict[str, Any] = {
+        "method": call.method,
+        "url": call.path,
+        "params": dict(call.params),
+        "headers": dict(call.headers),
+        "timeout": timeout_s,
+    }
+    if call.body is not None:
+        options["json"] = call.body
+    return options
+
+
+def pauses(retries: int) -> Iterator[float | None]:
+    """Yield the pause after each try in seconds, None after the last."""
+    for attempt in range(retries):
+        yield FIRST_PAUSE_S * 3.0**attempt
+    yield None
+
+
+def pause_after(response: httpx.Response, call: Call[Any], pause: float | None) -> float | None:
+    """Return how long to wait before asking again, or None to take the response as it is."""
+    if response.status_code not in BUSY or pause is None or not call.repeatable:
+        return None
+    told = response.headers.get("retry-after", "")
+    return max(pause, min(float(told), 30.0)) if told.isdigit() else pause
+
+
+def check(response: httpx.Response) -> None:
+    """Raise the error that a response stands for, if it is one."""
+    if response.is_error:
+        raise error_from(response)
+
+
+def unreachable(url: str, error: httpx.TransportError) -> PrtbakeError:
+    """Say that the service did not answer."""
+    return ServiceUnreachable(f"no answer from {url}: {str(error) or type(error).__name__}")
