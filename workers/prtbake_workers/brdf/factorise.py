@@ -1,0 +1,220 @@
+"""Factorise a BRDF by a weighted singular value decomposition, one azimuthal order at a time."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from prtbake_storage.errors import BrdfError, SettingsError
+from prtbake_workers.arrays import F32, F64, Float64
+from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
+from prtbake_workers.brdf.radial_table import cosines_of_nodes
+from prtbake_workers.brdf.spectrum import Spectrum
+
+DEFAULT_ENERGY_LOST = 0.01
+"""Share of the energy that may be lost where neither terms nor an error are asked for."""
+
+CONSTANT_TOLERANCE = 1e-12
+"""Relative spread below which a BRDF counts as constant: rounding of the diffuse models."""
+
+
+def factorise(
+    brdf: Brdf,
+    *,
+    n_terms: int | None = None,
+    energy_lost: float | None = None,
+    n_theta: int = 28,
+    n_phi: int = 112,
+    max_terms: int = 128,
+    n_nodes: int = 513,
+) -> Factorisation:
+    """Approximate ``rho(wi, wo)`` by the best sum of K products, [Tsai2006]_ eq. (9).
+
+    The matrix ``cos_i cos_o rho`` on a hemisphere grid uniform in cos theta and phi is
+    block-circulant, since the BRDF is isotropic: a Fourier transform over the difference of
+    azimuths and one small singular value decomposition an order give its full decomposition
+    exactly.  The weight makes the error that of outgoing radiance with the view's cosine.  Colours
+    share psi; their channels are stacked on the view side.
+
+    Parameters
+    ----------
+    brdf
+        Reciprocal, isotropic, mirror-symmetric.
+    n_terms
+        K at most.  The two members of a pair (order m > 0) are kept or dropped together, since a
+        split pair would let the picture depend on the tangent frame: K is rounded down, and the
+        note says so.
+    energy_lost
+        The smallest K that leaves at most this share of the energy, in (0, 1).  ``n_terms``, if
+        given too, takes the place of ``max_terms``.
+    n_theta, n_phi
+        Rings and azimuths of the grid.
+    max_terms
+        Largest K that ``energy_lost`` may choose.
+    n_nodes
+        Nodes of the tables that `Factorisation.eval_psi` and `eval_phi` interpolate in.
+
+    Raises
+    ------
+    SettingsError
+        No affordable K loses as little energy as asked; the message says what K leaves behind.
+    BrdfError
+        The BRDF gives a negative or non-finite value, or depends on more than the azimuths'
+        difference.
+    """
+    if n_terms is not None and n_terms < 1:
+        raise SettingsError(f"n_terms must be at least 1, got {n_terms}")
+    if energy_lost is not None and not 0.0 < energy_lost < 1.0:
+        raise SettingsError(f"energy_lost must lie between 0 and 1, got {energy_lost}")
+    grid = HemisphereGrid(n_theta, n_phi)
+    _check_isotropy(brdf)
+    blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, n_phi)
+    if _is_constant(blocks):
+        return _constant(blocks[0][0, 0] / (2.0 * np.pi), grid, brdf, n_terms, n_nodes)
+
+    left, values, right = _decompose(blocks, grid)
+    spectrum = Spectrum.from_blocks(values)
+    n_units, note = _choose_units(spectrum, n_terms, energy_lost, max_terms)
+    orders, index = spectrum.orders[:n_units], spectrum.index[:n_units]
+    weight = grid.cosines * np.sqrt(grid.ring_weight)
+    norm = np.sqrt(norm_of_order(orders))
+    phi = right[orders, index].transpose(1, 0, 2) / weight[:, None, None] / norm[:, None]
+    psi = (left[orders, :, index] * spectrum.values[:n_units, None]).T / weight[:, None] / norm
+    # the sign of a singular vector is arbitrary; fix it, so that equal inputs give equal bytes
+    flip = _signs(phi)
+    phi, psi = phi * flip[:, None], psi * flip
+
+    terms = np.repeat(np.arange(n_units), spectrum.multiplicity[:n_units])
+    parity = np.append(0, np.diff(terms) == 0).astype(np.int32)
+    draft = Factorisation(
+        grid=grid,
+        orders=orders[terms],
+        parity=parity,
+        psi_radial=psi[:, terms],
+        phi_radial=phi[:, terms],
+        singular_values=spectrum.all_values,
+        psi_table=np.zeros((0, n_units), np.float32),
+        phi_table=np.zeros((0, n_units, brdf.n_channels), np.float32),
+        energy_lost=float(spectrum.energies_left[n_units - 1]),
+        requested_terms=n_terms,
+        note=note,
+        is_constant_phi=False,
+        brdf=brdf,
+    )
+    return _with_tables(draft, n_nodes)
+
+
+def _check_isotropy(brdf: Brdf) -> None:
+    """Refuse a BRDF that a common turn or a mirror changes: half circles would misread it."""
+    theta = np.array([0.2, 0.7, 1.2])
+    turn = np.array([0.0, 1.0, 2.5])
+    delta = 0.8
+    wi = _directions(theta, np.zeros(3))
+    reference = brdf.eval_brdf(wi, _directions(theta[::-1], np.full(3, delta)))
+    for sign in (1.0, -1.0):
+        turned = brdf.eval_brdf(
+            _directions(theta, turn), _directions(theta[::-1], turn + sign * delta)
+        )
+        if not np.allclose(turned, reference, rtol=1e-9, atol=1e-12):
+            raise BrdfError("the BRDF is not isotropic and mirror-symmetric")
+
+
+def _directions(theta: Float64[F64, " n"], phi: Float64[F64, " n"]) -> Float64[F64, "n 3"]:
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _is_constant(blocks: Float64[F64, "orders theta theta channels"]) -> bool:
+    scale = CONSTANT_TOLERANCE * blocks[0].max(axis=(0, 1))
+    level = (np.ptp(blocks[0], axis=(0, 1)) <= scale).all()
+    return bool(level and (np.abs(blocks[1:]).max(axis=(0, 1, 2)) <= scale).all())
+
+
+def _constant(
+    value: Float64[F64, " channels"],
+    grid: HemisphereGrid,
+    brdf: Brdf,
+    n_terms: int | None,
+    n_nodes: int,
+) -> Factorisation:
+    """Make the one term of a diffuse BRDF: psi = 1 / pi, phi = albedo."""
+    albedo = np.pi * value
+    projected = 2.0 * np.pi * float(np.sum(grid.cosines**2)) * grid.ring_weight
+    needless = n_terms is not None and n_terms > 1
+    return Factorisation(
+        grid=grid,
+        orders=np.zeros(1, np.int32),
+        parity=np.zeros(1, np.int32),
+        psi_radial=np.full((grid.n_theta, 1), 1.0 / np.pi),
+        phi_radial=np.tile(albedo, (grid.n_theta, 1, 1)),
+        singular_values=np.array([float(np.linalg.norm(value)) * projected]),
+        psi_table=np.full((n_nodes, 1), 1.0 / np.pi, np.float32),
+        phi_table=np.tile(albedo.astype(np.float32), (n_nodes, 1, 1)),
+        energy_lost=0.0,
+        requested_terms=n_terms,
+        note=f"a constant BRDF needs 1 term, not {n_terms}" if needless else None,
+        is_constant_phi=True,
+        brdf=brdf,
+    )
+
+
+def _decompose(
+    blocks: Float64[F64, "orders theta theta channels"], grid: HemisphereGrid
+) -> tuple[
+    Float64[F64, "orders theta theta"],
+    Float64[F64, "orders theta"],
+    Float64[F64, "orders theta theta channels"],
+]:
+    """Decompose each order's weighted block; right is (order, index, theta, channel)."""
+    weight = grid.cosines * np.sqrt(grid.ring_weight)
+    weighted = blocks * weight[:, None, None] * weight[:, None]
+    flat = weighted.reshape(*weighted.shape[:2], -1)
+    left, values, right = np.linalg.svd(flat, full_matrices=False)
+    return left, values, right.reshape(weighted.shape)
+
+
+def _choose_units(
+    spectrum: Spectrum, n_terms: int | None, energy_lost: float | None, max_terms: int
+) -> tuple[int, str | None]:
+    """Choose how many units to keep, with a note where that is not simply what was asked."""
+    if energy_lost is None and n_terms is not None:
+        units = spectrum.units_for_terms(n_terms)
+        kept = int(spectrum.whole_counts[units - 1])
+        if kept == n_terms:
+            return units, None
+        if units == spectrum.usable:
+            return units, f"the BRDF has {kept} terms on this grid, {n_terms} were asked for"
+        return units, f"{n_terms} terms would split a pair: {kept} are kept"
+
+    asked = DEFAULT_ENERGY_LOST if energy_lost is None else energy_lost
+    limit = max_terms if n_terms is None else n_terms
+    affordable = spectrum.units_for_terms(limit)
+    serving = spectrum.units_for_energy(asked)
+    if serving is not None and serving <= affordable:
+        return serving, None
+    kept = int(spectrum.whole_counts[affordable - 1])
+    left = float(spectrum.energies_left[affordable - 1])
+    needed = "no number of terms" if serving is None else f"{spectrum.whole_counts[serving - 1]}"
+    message = (
+        f"{kept} terms (of at most {limit}) leave {left:.2%} of the BRDF's energy, "
+        f"more than {asked:.2%}, which takes {needed}"
+    )
+    if energy_lost is not None:
+        raise SettingsError(message)
+    return affordable, message
+
+
+def _signs(phi: Float64[F64, "theta units channels"]) -> Float64[F64, " units"]:
+    """Sign that makes the largest value of each unit positive."""
+    flat = phi.transpose(1, 0, 2).reshape(phi.shape[1], -1)
+    peak = np.abs(flat).argmax(axis=1)
+    return np.where(flat[np.arange(len(flat)), peak] < 0.0, -1.0, 1.0)
+
+
+def _with_tables(draft: Factorisation, n_nodes: int) -> Factorisation:
+    """Tabulate the exact radial functions."""
+    at = cosines_of_nodes(n_nodes)
+    psi: F32 = draft.radial_exact(at, light_side=True)[..., 0].astype(np.float32)
+    phi: F32 = draft.radial_exact(at, light_side=False).astype(np.float32)
+    return replace(draft, psi_table=psi, phi_table=phi)
