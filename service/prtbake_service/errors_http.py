@@ -1,0 +1,183 @@
+"""Every error as RFC 9457 problem details.
+
+422 stands for malformed requests only; what is well formed but cannot be done says 400, 404 or 409.
+"""
+
+import logging
+from collections.abc import Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+
+from prtbake_storage.contract.jobs import Problem
+from prtbake_storage.errors import PrtError, ResourceExhausted, Unauthorised
+
+PROBLEM_JSON = "application/problem+json"
+RETRY_AFTER_S = "5"
+log = logging.getLogger(__name__)
+
+CODES = {
+    400: "bad-request",
+    401: "unauthorised",
+    404: "not-found",
+    405: "method-not-allowed",
+    406: "not-acceptable",
+    413: "too-large",
+    415: "unsupported-media-type",
+    416: "range-not-satisfiable",
+    422: "malformed-request",
+}
+
+
+class ProblemError(PrtError):
+    """A problem that knows its own status: a job's or a parser's refusal, passed on."""
+
+    def __init__(self, status: int, code: str, detail: str, *, pointer: str | None = None) -> None:
+        super().__init__(detail, pointer=pointer)
+        self.status = status
+        self.problem_code = code
+
+
+class MalformedRequest(PrtError, ValueError):
+    """A request that the models accept but whose parts do not fit together."""
+
+    code = "malformed-request"
+    kind = "input"
+    http_status = 422
+
+    def __init__(self, errors: Sequence[dict[str, Any]]) -> None:
+        first = errors[0]
+        super().__init__(str(first["detail"]), pointer=first["pointer"])
+        self.errors = list(errors)
+
+
+def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> Response:
+    """Render a problem."""
+    return JSONResponse(
+        problem.model_dump(mode="json", exclude_none=True),
+        status_code=problem.status,
+        headers=headers,
+        media_type=PROBLEM_JSON,
+    )
+
+
+def title_of(status: int) -> str:
+    """Return the standard phrase of a status."""
+    try:
+        return HTTPStatus(status).phrase
+    except ValueError:
+        return "Error"
+
+
+def pointer_to(loc: Sequence[str | int], body: Any) -> str:
+    """Turn the location of a validation error into a JSON pointer into the body.
+
+    A union adds the tag of the member it tried to the location; what the body does not hold is
+    left out, save the last name, which may be the missing field itself.
+    """
+    steps: list[str] = []
+    cursor = body
+    for place, step in enumerate(loc):
+        if isinstance(cursor, dict) and isinstance(step, str):
+            tag = place == 0 and step == cursor.get("kind")
+            if step in cursor and not tag:
+                cursor = cursor[step]
+            elif place < len(loc) - 1 or tag:
+                continue
+        elif isinstance(cursor, list) and isinstance(step, int):
+            cursor = cursor[step] if step < len(cursor) else None
+        else:
+            continue
+        steps.append(str(step).replace("~", "~0").replace("/", "~1"))
+    return "".join(f"/{step}" for step in steps)
+
+
+def validation_entries(errors: Sequence[Any], body: Any, prefix: str = "") -> list[dict[str, Any]]:
+    """Return one ``{pointer, detail}`` for each thing that is wrong, each pointer once."""
+    entries: dict[str, dict[str, Any]] = {}
+    for error in errors:
+        loc = list(error["loc"])
+        source = loc.pop(0) if loc and loc[0] in ("body", "query", "path", "header") else "body"
+        if error["type"] == "json_invalid":
+            where, detail = "", f"the body is not JSON: {error['ctx']['error']}"
+        elif source == "body":
+            where, detail = prefix + pointer_to(loc, body), error["msg"]
+        else:
+            # not in the body: the name stands in the sentence, and there is nothing to point to
+            where, detail = "", f"{source} parameter {'.'.join(map(str, loc))}: {error['msg']}"
+        key = where or detail
+        if key in entries:
+            entries[key]["detail"] += f"; or: {detail}"
+        else:
+            entries[key] = {"pointer": where, "detail": detail}
+    return list(entries.values())
+
+
+def on_prt_error(request: Request, error: Exception) -> Response:
+    """Render an error of ours."""
+    if not isinstance(error, PrtError):
+        raise TypeError("registered for PrtError only") from error
+    status, code = error.http_status, error.code
+    if isinstance(error, ProblemError):
+        status, code = error.status, error.problem_code
+    if status >= 500:
+        log.error("request.error", exc_info=error)
+    headers = {}
+    if isinstance(error, Unauthorised):
+        headers["WWW-Authenticate"] = 'Bearer realm="prtbake"'
+    if isinstance(error, ResourceExhausted):
+        headers["Retry-After"] = RETRY_AFTER_S
+    problem = Problem(
+        title=title_of(status),
+        status=status,
+        detail=error.detail,
+        code=code,
+        pointer=error.pointer,
+        errors=error.errors if isinstance(error, MalformedRequest) else [],
+    )
+    return problem_response(problem, headers)
+
+
+def on_validation_error(request: Request, error: Exception) -> Response:
+    """Render what the models refuse."""
+    if not isinstance(error, RequestValidationError):
+        raise TypeError("registered for RequestValidationError only") from error
+    entries = validation_entries(error.errors(), error.body)
+    return on_prt_error(request, MalformedRequest(entries))
+
+
+def on_http_exception(request: Request, error: Exception) -> Response:
+    """Render what the framework refuses: no such path or method, a body too large."""
+    if not isinstance(error, HTTPException):
+        raise TypeError("registered for HTTPException only") from error
+    status = error.status_code
+    detail = error.detail
+    if status == 404:
+        detail = f"there is nothing at {request.url.path}"
+    elif status == 405:
+        detail = f"{request.method} is not possible at {request.url.path}"
+    problem = Problem(
+        title=title_of(status), status=status, detail=detail, code=CODES.get(status, "error")
+    )
+    return problem_response(problem, dict(error.headers or {}))
+
+
+def internal_problem() -> Problem:
+    """Return what a caller learns of a fault of ours: nothing but that it is logged."""
+    return Problem(
+        title=title_of(500),
+        status=500,
+        detail="an internal error; the log has it under this response's X-Request-ID",
+        code="internal",
+    )
+
+
+def install(app: FastAPI) -> None:
+    """Register the handlers."""
+    app.add_exception_handler(PrtError, on_prt_error)
+    app.add_exception_handler(RequestValidationError, on_validation_error)
+    app.add_exception_handler(HTTPException, on_http_exception)
