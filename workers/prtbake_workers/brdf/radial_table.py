@@ -6,6 +6,7 @@ neither theta nor cos theta spares an arc cosine or keeps them smooth.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -92,33 +93,39 @@ class RadialTable:
         return out
 
     def _look_up_chunk(self, x: F32, y: F32, z: F32, out: F32) -> None:
-        n_columns = self.values.shape[2]
-        sine = np.sqrt(x * x + y * y)
+        sine: F32 = np.sqrt(x * x + y * y)
         cell, part = self._cells(sine, z)
         inverse = np.float32(1.0) / np.maximum(sine, np.float32(POLE_FLOOR))
         cosine_1, sine_1 = x * inverse, y * inverse
         # cos and sin of m phi by the addition theorem, orders in rising sequence
-        order = 0
-        cosine_m: F32 = np.ones_like(x)
-        sine_m: F32 = np.zeros_like(x)
-        for m in range(int(self.orders.max(initial=0)) + 1):
+        cosine_m, sine_m, order = cosine_1, sine_1, 1
+        for m, row, cosine_term, sine_term in self._plan:
             while order < m:
-                turned: F32 = cosine_m * cosine_1 - sine_m * sine_1
-                sine_m = sine_m * cosine_1 + cosine_m * sine_1
-                cosine_m = turned
-                order += 1
-            terms = np.flatnonzero(self.orders == m)
-            for unit in np.unique(self.unit_of_term[terms]):
-                row = int(unit) * n_columns
-                radial = self._steps[row].take(cell, mode="clip")
-                radial *= part
-                radial += self._rows[row].take(cell, mode="clip")
-                for term in terms[self.unit_of_term[terms] == unit]:
-                    if m == 0:
-                        out[term] = radial
-                    else:
-                        wave = sine_m if self.parity[term] else cosine_m
-                        np.multiply(radial, wave, out=out[term])
+                turned = cosine_m * cosine_1
+                turned -= sine_m * sine_1
+                sine_m = sine_m * cosine_1
+                sine_m += cosine_m * sine_1
+                cosine_m, order = turned, order + 1
+            radial = self._steps[row].take(cell, mode="clip")
+            radial *= part
+            radial += self._rows[row].take(cell, mode="clip")
+            if m == 0:
+                out[cosine_term] = radial
+            else:
+                np.multiply(radial, cosine_m, out=out[cosine_term])
+                np.multiply(radial, sine_m, out=out[sine_term])
+
+    @cached_property
+    def _plan(self) -> list[tuple[int, int, int, int]]:
+        """Order, table row, cosine's and sine's term of each unit, by rising order."""
+        n_columns = self.values.shape[2]
+        plan = []
+        for unit in range(self.values.shape[1]):
+            terms = np.flatnonzero(self.unit_of_term == unit)
+            plan.append(
+                (int(self.orders[terms[0]]), unit * n_columns, int(terms[0]), int(terms[-1]))
+            )
+        return sorted(plan)
 
     def _cells(self, sine: F32 | F64, z: F32 | F64) -> tuple[np.ndarray, np.ndarray]:
         """Cell and place within it; r = sine / sqrt(1 + z) keeps its digits near the pole."""
