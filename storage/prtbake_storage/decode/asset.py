@@ -265,6 +265,9 @@ def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
 
 
 def _finite(name: str, array: NDArray[Any]) -> None:
+    expected = np.float64 if name == "basis/centres" else np.float32
+    if array.dtype.kind != "i" and array.dtype != expected:
+        raise ValueError(f"{name} is {array.dtype}, not {np.dtype(expected)}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{name} is not finite at {place}")

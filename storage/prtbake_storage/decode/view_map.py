@@ -32,8 +32,9 @@ def hemi_octahedral_inverse(uv: NDArray[np.floating]) -> NDArray[np.floating]:
     a, b = 2.0 * uv[..., 0] - 1.0, 2.0 * uv[..., 1] - 1.0
     x, y = 0.5 * (a + b), 0.5 * (a - b)
     z = np.maximum(1.0 - np.abs(x) - np.abs(y), 0.0)
-    direction = np.stack([x, y, z], axis=-1)
-    return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction: NDArray[np.floating] = np.stack([x, y, z], axis=-1)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    return direction
 
 
 def texel_centres(resolution: int) -> F64:

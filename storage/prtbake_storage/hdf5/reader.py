@@ -1,0 +1,129 @@
+"""Read a compressed asset from a file that nobody vouches for."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.decode.asset import Asset, Part, check_asset
+from prtbake_storage.decode.quantise import SHARED_AXES, unpack_frames, unpack_units
+from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5 import primitives as h5
+from prtbake_storage.hdf5.resources import check_unit, get_faces
+from prtbake_storage.hdf5.tables import child_parts, get_surface
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+def read_asset(path: Path) -> Asset:
+    """Read an asset, whatever number of bits it holds, as float32.
+
+    Raises
+    ------
+    CorruptArtefact
+        Naming the dataset that is damaged, missing, not finite or not what the schema says.
+    """
+    with h5.open_file(path, "asset") as file:
+        mesh = h5.child(file, "mesh")
+        positions: F32 = h5.get(mesh, "positions", "f", (None, 3)).astype(np.float32)
+        normals = _normals(mesh, len(positions))
+        uv = None
+        if h5.has(mesh, "uv"):
+            uv = h5.get(mesh, "uv", "f", (len(positions), 2)).astype(np.float32)
+        centres, bandwidth = get_basis(file)
+        parts = tuple(_part(group, normals, len(centres)) for group in child_parts(file))
+        asset = Asset(
+            positions=positions,
+            faces=get_faces(mesh, len(positions)),
+            normals=normals,
+            uv=uv,
+            parts=parts,
+            centres=centres,
+            bandwidth=bandwidth,
+            provenance=h5.get_object(file, "provenance"),
+        )
+    try:
+        check_asset(asset)
+    except ValueError as error:
+        raise CorruptArtefact(str(error)) from error
+    return asset
+
+
+def get_basis(file: h5py.File) -> tuple[F64, float]:
+    """Read centres and bandwidth of the whitened Gaussian basis."""
+    group = h5.child(file, "basis")
+    if h5.attribute(group, "kernel") != "gaussian" or h5.attribute(group, "whitened") != 1:
+        raise CorruptArtefact("/basis is not a whitened Gaussian basis")
+    centres = h5.get(group, "centres", "f", (None, 3)).astype(np.float64)
+    check_unit("/basis/centres", centres)
+    bandwidth = h5.attribute(group, "bandwidth")
+    if not isinstance(bandwidth, int | float) or not 0 < bandwidth < np.inf:
+        raise CorruptArtefact(f"/basis: bandwidth is {bandwidth!r}")
+    return centres, float(bandwidth)
+
+
+def _normals(mesh: h5py.Group, n_vertices: int) -> F32:
+    stored = h5.get(mesh, "normals", "fi", (n_vertices, 3))
+    normals = unpack_units(stored) if stored.dtype == np.int16 else stored.astype(np.float32)
+    check_unit("/mesh/normals", normals)
+    return normals
+
+
+def _part(group: h5py.Group, normals: F32, n_coeffs: int) -> Part:
+    surface = get_surface(group)
+    method = h5.attribute(group, "method")
+    if method not in ("cta", "cpca"):
+        raise CorruptArtefact(f"{group.name}: method is {method!r}")
+    start, stop = surface["vertex_range"]
+    verts = stop - start
+    if stop > len(normals):
+        raise CorruptArtefact(f"{group.name}: vertices {start}..{stop} of {len(normals)}")
+    clusters = h5.child(group, "clusters")
+    ranks = h5.get(clusters, "ranks", "i", (None, 3)).astype(np.int32)
+    labels = h5.get(clusters, "labels", "i", (verts,)).astype(np.int32)
+    if labels.min() < 0 or labels.max() >= len(ranks):
+        raise CorruptArtefact(f"{clusters.name}/labels leave [0, {len(ranks)})")
+    names = ("light_bases", "dual_bases") if method == "cta" else ("means", "components")
+    factors: dict[str, Any] = {
+        name: _factor(clusters, name, 2 if name == "means" else 3) for name in names
+    }
+    if h5.has(group, "view_texture"):
+        factors["view_texture"] = _factor(group, "view_texture", 4)
+    weights = h5.get(group, "weights", "fi", (verts, None))
+    if weights.dtype.kind == "i":
+        scale = h5.get(group, "weights_scale", "f", (len(ranks), weights.shape[1]))
+        weights = weights.astype(np.float32) * scale.astype(np.float32)[labels]
+    return Part(
+        **surface,
+        method=method,
+        labels=labels,
+        weights=weights.astype(np.float32),
+        ranks=ranks,
+        view_basis=h5.get(group, "view_basis", "f", (None, None)).astype(np.float32),
+        frames=_frames(group, normals[start:stop]),
+        **factors,
+    )
+
+
+def _factor(group: h5py.Group, name: str, axes: int) -> F32:
+    array = h5.get(group, name, "fi", (None,) * axes)
+    if array.dtype.kind == "f":
+        return array.astype(np.float32)
+    shared = SHARED_AXES[name]
+    shape = tuple(1 if axis in shared else size for axis, size in enumerate(array.shape))
+    scale = h5.get(group, f"{name}_scale", "f", shape)
+    values: F32 = array.astype(np.float32) * scale.astype(np.float32)
+    return values
+
+
+def _frames(group: h5py.Group, normals: F32) -> F32 | None:
+    if h5.has(group, "tangents"):
+        return unpack_frames(h5.get(group, "tangents", "i", (len(normals), 3)), normals)
+    if h5.has(group, "frames"):
+        frames: F32 = h5.get(group, "frames", "f", (len(normals), 3, 3)).astype(np.float32)
+        check_unit(f"{group.name}/frames", frames)
+        return frames
+    return None

@@ -1,0 +1,154 @@
+"""Canonical files of parsed inputs, meshes and environments, and of fitted lights."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.decode.asset import LightFit
+from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5 import primitives as h5
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A repaired mesh: positions (verts, 3), faces (tris, 3), unit normals, uv (verts, 2) or None.
+
+    ``report`` is what parsing found and mended.
+    """
+
+    positions: F64
+    faces: I32
+    normals: F64
+    uv: F64 | None
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EnvironmentFile:
+    """A lat-long environment in the internal convention: linear radiance (height, width, 3)."""
+
+    radiance: F32
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_mesh(path: Path, mesh: MeshFile) -> None:
+    """Write the canonical file of a mesh."""
+    with h5.new_file(path, "mesh") as file:
+        put_mesh(file, mesh.positions, mesh.faces, mesh.normals, mesh.uv)
+        h5.put_json(file, "provenance", dict(mesh.report))
+
+
+def read_mesh(path: Path) -> MeshFile:
+    """Read the canonical file of a mesh.
+
+    Raises
+    ------
+    CorruptArtefact
+        Naming the dataset that is damaged, missing or not what the schema says.
+    """
+    with h5.open_file(path, "mesh") as file:
+        positions, faces, normals, uv = get_mesh(file)
+        report = h5.get_object(file, "provenance")
+    return MeshFile(positions, faces, normals, uv, report)
+
+
+def write_environment(path: Path, environment: EnvironmentFile) -> None:
+    """Write the canonical file of an environment."""
+    with h5.new_file(path, "environment") as file:
+        group = h5.group(file, "environment")
+        h5.put(group, "radiance", environment.radiance, "height width channels", unit="radiance")
+        h5.put_json(file, "provenance", dict(environment.report))
+
+
+def read_environment(path: Path) -> EnvironmentFile:
+    """Read the canonical file of an environment; raises CorruptArtefact."""
+    with h5.open_file(path, "environment") as file:
+        group = h5.child(file, "environment")
+        radiance = h5.get(group, "radiance", "f", (None, None, 3)).astype(np.float32)
+        if (radiance < 0).any():
+            raise CorruptArtefact("/environment/radiance is negative somewhere")
+        return EnvironmentFile(radiance, h5.get_object(file, "provenance"))
+
+
+def write_light(path: Path, light: LightFit) -> None:
+    """Write a fitted light."""
+    with h5.new_file(path, "light") as file:
+        group = h5.group(file, "light")
+        h5.set_attribute(group, "kernel", "gaussian")
+        h5.set_attribute(group, "error", float(light.error))
+        h5.put(group, "centres", light.centres, "lobes xyz")
+        h5.put(group, "bandwidths", light.bandwidths, "lobes")
+        h5.put(group, "coefficients", light.coefficients, "lobes channels", unit="radiance")
+        h5.put_json(file, "provenance", dict(light.provenance))
+
+
+def read_light(path: Path) -> LightFit:
+    """Read a fitted light; raises CorruptArtefact."""
+    with h5.open_file(path, "light") as file:
+        group = h5.child(file, "light")
+        centres = h5.get(group, "centres", "f", (None, 3)).astype(np.float64)
+        bandwidths = h5.get(group, "bandwidths", "f", (len(centres),)).astype(np.float64)
+        coefficients = h5.get(group, "coefficients", "f", (len(centres), 3)).astype(np.float64)
+        check_unit("/light/centres", centres)
+        if (bandwidths <= 0).any():
+            raise CorruptArtefact("/light/bandwidths are not all positive")
+        return LightFit(
+            centres=centres,
+            bandwidths=bandwidths,
+            coefficients=coefficients,
+            error=float(h5.attribute(group, "error")),
+            provenance=h5.get_object(file, "provenance"),
+        )
+
+
+def put_mesh(
+    file: Any, positions: NDArray[Any], faces: I32, normals: NDArray[Any], uv: NDArray[Any] | None
+) -> None:
+    """Write the group ``mesh``; int16 normals carry the scale 1/32767."""
+    group = h5.group(file, "mesh")
+    h5.put(group, "positions", positions, "verts xyz", unit="scene")
+    h5.put(group, "faces", faces, "tris corners")
+    written = h5.put(group, "normals", normals, "verts xyz")
+    if normals.dtype == np.int16:
+        h5.set_attribute(written, "scale", 1.0 / 32767)
+    if uv is not None:
+        h5.put(group, "uv", uv, "verts uv")
+
+
+def get_mesh(file: Any) -> tuple[F64, I32, F64, F64 | None]:
+    """Read the group ``mesh`` with float normals, as float64."""
+    group = h5.child(file, "mesh")
+    positions = h5.get(group, "positions", "f", (None, 3)).astype(np.float64)
+    normals = h5.get(group, "normals", "f", (len(positions), 3)).astype(np.float64)
+    faces = get_faces(group, len(positions))
+    uv = None
+    if h5.has(group, "uv"):
+        uv = h5.get(group, "uv", "f", (len(positions), 2)).astype(np.float64)
+    check_unit("/mesh/normals", normals)
+    return positions, faces, normals, uv
+
+
+def get_faces(group: Any, n_vertices: int) -> I32:
+    """Read ``faces`` and hold every index against the number of vertices."""
+    faces: I32 = h5.get(group, "faces", "i", (None, 3)).astype(np.int32)
+    bad = np.flatnonzero(((faces < 0) | (faces >= n_vertices)).any(axis=1))
+    if bad.size:
+        raise CorruptArtefact(
+            f"/mesh/faces: triangle {bad[0]} names a vertex outside [0, {n_vertices})"
+        )
+    return faces
+
+
+def check_unit(name: str, vectors: NDArray[Any], tolerance: float = 1e-3) -> None:
+    """Refuse vectors that are not of unit length."""
+    off = np.abs(np.linalg.norm(vectors, axis=-1) - 1.0)
+    if off.size and off.max() > tolerance:
+        raise CorruptArtefact(f"{name}: row {int(off.argmax())} is not of unit length")

@@ -1,0 +1,51 @@
+"""Names, version and layout rules of prtbake's HDF5 files.
+
+::
+
+    /                 attributes format="prtbake", version, kind (one of KINDS)
+    /provenance       JSON text: input digests, settings, seeds, versions, plan
+    /mesh/            positions normals faces uv
+    /basis/           centres; attributes kernel, bandwidth
+    /light/           centres bandwidths coefficients; attribute error
+    /environment/     radiance
+    /parts/<i>/       attributes name, vertex_start, vertex_stop, method
+        material      JSON text
+        clusters/     labels ranks light_bases dual_bases means components
+        weights       ...
+
+A factor held in 16 bits is an int16 dataset ``x`` beside a float32 dataset ``x_scale`` named by
+its attribute ``scale``; the value is ``x * scale``, broadcast.  Every dataset carries the names
+of its axes in the attribute ``axes``.  Datasets are chunked, gzip + shuffle + fletcher32, and
+the metadata of library version 1.10 carries its own checksums: any changed byte that matters is
+found.  No times are written, so equal content is equal bytes.
+"""
+
+FORMAT = "prtbake"
+VERSION = 1
+KINDS = ("asset", "transfer", "light", "mesh", "environment")
+
+LIBVER = ("v110", "v110")
+"""HDF5 1.10 (2016): the oldest whose metadata has checksums."""
+
+GZIP_LEVEL = 4
+TRANSFER_GZIP_LEVEL = 1
+"""Transfer is noise in its low bits: higher levels cost three times as much for 2 % less."""
+
+TRANSFER_CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 18
+"""Target size of a chunk before compression."""
+
+INT16_MAX = 32767
+
+MAX_DEFLATE_RATIO = 1100
+"""deflate cannot shrink beyond 1032:1, so a dataset that claims more was never written."""
+
+MAX_JSON_BYTES = 16 << 20
+ALLOWED_FILTERS = frozenset({1, 2, 3})
+"""deflate, shuffle, fletcher32."""
+
+
+def transfer_chunk_vertices(n_terms: int, n_coeffs: int) -> int:
+    """Vertices in a chunk of transfer: a power of two near 1 MiB; tiles start at its multiples."""
+    fitting = max(1, TRANSFER_CHUNK_BYTES // (2 * n_terms * n_coeffs))
+    return min(1 << (fitting.bit_length() - 1), 4096)

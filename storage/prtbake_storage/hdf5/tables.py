@@ -1,0 +1,90 @@
+"""What the parts of an asset and of a transfer share: material, albedo, factorisation tables."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5 import primitives as h5
+
+F32 = NDArray[np.float32]
+
+
+def put_surface(
+    group: h5py.Group,
+    *,
+    name: str,
+    vertex_range: tuple[int, int],
+    material: Mapping[str, Any],
+    albedo: F32,
+    albedo_texture: F32 | None,
+    factorisation: Mapping[str, Any] | None,
+) -> None:
+    """Write a part's name, range, material, albedo and factorisation."""
+    h5.set_attribute(group, "name", name)
+    h5.set_attribute(group, "vertex_start", vertex_range[0])
+    h5.set_attribute(group, "vertex_stop", vertex_range[1])
+    h5.put_json(group, "material", dict(material))
+    h5.put(group, "albedo", albedo.astype(np.float32), "channels")
+    if albedo_texture is not None:
+        texture = albedo_texture.astype(np.float32)
+        h5.put(group, "albedo_texture", texture, "height width channels")
+    if factorisation is not None:
+        put_tables(h5.group(group, "factorisation"), factorisation)
+
+
+def get_surface(group: h5py.Group) -> dict[str, Any]:
+    """Read what `put_surface` wrote, as its keyword arguments."""
+    start, stop = h5.attribute(group, "vertex_start"), h5.attribute(group, "vertex_stop")
+    if not isinstance(start, int) or not isinstance(stop, int) or not 0 <= start < stop:
+        raise CorruptArtefact(f"{group.name}: vertex range {start}..{stop} is no range")
+    albedo: F32 = h5.get(group, "albedo", "f", (None,)).astype(np.float32)
+    if albedo.shape not in {(1,), (3,)}:
+        raise CorruptArtefact(f"{group.name}/albedo has shape {albedo.shape}, not (1,) or (3,)")
+    texture = None
+    if h5.has(group, "albedo_texture"):
+        texture = h5.get(group, "albedo_texture", "f", (None, None, 3)).astype(np.float32)
+    tables = None
+    if h5.has(group, "factorisation"):
+        tables = get_tables(h5.child(group, "factorisation"))
+    return {
+        "name": str(h5.attribute(group, "name")),
+        "vertex_range": (start, stop),
+        "material": h5.get_object(group, "material"),
+        "albedo": albedo,
+        "albedo_texture": texture,
+        "factorisation": tables,
+    }
+
+
+def put_tables(group: h5py.Group, tables: Mapping[str, Any]) -> None:
+    """Write arrays as datasets and plain values as one JSON text."""
+    plain = {}
+    for name in sorted(tables):
+        value = tables[name]
+        if isinstance(value, np.ndarray) and value.ndim > 0:
+            h5.put(group, name, value, " ".join(f"axis{i}" for i in range(value.ndim)))
+        else:
+            plain[name] = value.item() if isinstance(value, np.ndarray | np.generic) else value
+    h5.put_json(group, "values", plain)
+
+
+def get_tables(group: h5py.Group) -> dict[str, Any]:
+    """Read what `put_tables` wrote."""
+    tables = dict(h5.get_object(group, "values"))
+    for name in h5.names(group):
+        if name != "values":
+            tables[name] = h5.get_any(group, name, "fi")
+    return tables
+
+
+def child_parts(file: h5py.File) -> list[h5py.Group]:
+    """Return the groups /parts/0, /parts/1, ... in order."""
+    parts = h5.child(file, "parts")
+    names = h5.names(parts)
+    if sorted(names) != sorted(str(i) for i in range(len(names))) or not names:
+        raise CorruptArtefact(f"/parts holds {names[:8]}, not 0, 1, ...")
+    return [h5.child(parts, str(i)) for i in range(len(names))]

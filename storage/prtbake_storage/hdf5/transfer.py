@@ -1,0 +1,282 @@
+"""Raw transfer: a header, and 16-bit coefficients written in tiles by many processes.
+
+A coefficient is int16 times a float32 scale of its vertex and term.  A chunk holds whole vertices;
+tiles begin at multiples of it, so that the join moves compressed chunks as they are.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.decode.quantise import quantise
+from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5 import primitives as h5
+from prtbake_storage.hdf5 import schema
+from prtbake_storage.hdf5.reader import get_basis
+from prtbake_storage.hdf5.resources import get_mesh, put_mesh
+from prtbake_storage.hdf5.tables import child_parts, get_surface, put_surface
+from prtbake_storage.hdf5.writer import put_basis
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I16 = NDArray[np.int16]
+I32 = NDArray[np.int32]
+
+PER_VERTEX = {"scale": "verts terms", "signal_energy": "verts", "residual_energy": "verts"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferPart:
+    """All of a part but its coefficients.
+
+    ``areas`` (verts,) weigh errors over the surface; ``frames`` (verts, 3, 3) or None for a
+    constant phi; ``n_terms`` the terms of the BRDF's factorisation.
+    """
+
+    name: str
+    vertex_range: tuple[int, int]
+    material: Mapping[str, Any]
+    areas: F64
+    n_terms: int
+    albedo: F32
+    frames: F64 | None = None
+    albedo_texture: F32 | None = None
+    factorisation: Mapping[str, Any] | None = None
+
+    @property
+    def n_vertices(self) -> int:
+        """Vertices of the part."""
+        return self.vertex_range[1] - self.vertex_range[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferHeader:
+    """The scene, the basis and the parts that transfer was simulated for."""
+
+    positions: F64
+    faces: I32
+    normals: F64
+    uv: F64 | None
+    centres: F64
+    bandwidth: float
+    parts: tuple[TransferPart, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Energies(NamedTuple):
+    """Squared radiance norms a vertex (verts,): of the signal, and of what projection left out."""
+
+    signal: F64
+    residual: F64
+
+
+def quantise_transfer(coefficients: F32) -> tuple[I16, F32]:
+    """Quantise (verts, terms, coeffs); returns int16 values and (verts, terms) scales."""
+    packed = quantise(coefficients, (2,))
+    return packed.values, packed.scale[:, :, 0]
+
+
+def write_transfer_tile(
+    path: Path,
+    coefficients: NDArray[Any],
+    *,
+    signal_energy: F64,
+    residual_energy: F64,
+    scale: F32 | None = None,
+) -> None:
+    """Write one tile: a block of vertices of one part.
+
+    Parameters
+    ----------
+    path
+        Final name.
+    coefficients
+        (verts, terms, coeffs) whitened; float32 to be quantised here, or int16 with ``scale``.
+    signal_energy, residual_energy
+        (verts,) squared radiance norms.
+    scale
+        (verts, terms), with int16 coefficients only.
+    """
+    if scale is None:
+        coefficients, scale = quantise_transfer(coefficients)
+    if coefficients.dtype != np.int16 or scale.shape != coefficients.shape[:2]:
+        raise ValueError("coefficients must be float32, or int16 with a (verts, terms) scale")
+    with h5.new_file(path, "transfer") as file:
+        target = _create_coefficients(file, coefficients.shape)
+        target[...] = coefficients
+        _put_vertex_data(file, scale.astype(np.float32), signal_energy, residual_energy)
+
+
+def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[Path]]) -> None:
+    """Join tiles into one transfer file without compressing again.
+
+    Parameters
+    ----------
+    path
+        Final name.
+    header
+        What the coefficients belong to.
+    tiles
+        For every part the paths of its tiles, in the order of their vertices; every tile but a
+        part's last holds a multiple of `schema.transfer_chunk_vertices` vertices.
+
+    Raises
+    ------
+    CorruptArtefact
+        A tile is damaged or does not fit.
+    """
+    with h5.new_file(path, "transfer") as file:
+        put_mesh(file, header.positions, header.faces, header.normals, header.uv)
+        put_basis(file, header.centres, header.bandwidth)
+        parts = h5.group(file, "parts")
+        for index, (part, paths) in enumerate(zip(header.parts, tiles, strict=True)):
+            group = h5.group(parts, str(index))
+            put_surface(
+                group,
+                name=part.name,
+                vertex_range=part.vertex_range,
+                material=part.material,
+                albedo=part.albedo,
+                albedo_texture=part.albedo_texture,
+                factorisation=part.factorisation,
+            )
+            h5.put(group, "areas", part.areas.astype(np.float64), "verts", unit="scene^2")
+            if part.frames is not None:
+                h5.put(group, "frames", part.frames.astype(np.float64), "verts axes xyz")
+            _join_part(group, part, len(header.centres), paths)
+        h5.put_json(file, "provenance", dict(header.provenance))
+
+
+class TransferFile:
+    """An open transfer file: header at once, coefficients in slices."""
+
+    def __init__(self, header: TransferHeader, groups: list[h5py.Group]) -> None:
+        self.header = header
+        self._groups = groups
+
+    def read(self, part: int, start: int = 0, stop: int | None = None) -> F32:
+        """Return whitened float32 coefficients of vertices start..stop, counted in the part.
+
+        Shape (verts, terms, coeffs).  Raises CorruptArtefact where a checksum fails.
+        """
+        values = h5.read(self._groups[part]["coefficients"], slice(start, stop))
+        scale = h5.read(self._groups[part]["scale"], slice(start, stop))
+        coefficients: F32 = values.astype(np.float32)
+        coefficients *= scale[:, :, None]
+        return coefficients
+
+    def energies(self, part: int) -> Energies:
+        """Return the squared radiance norms a vertex."""
+        group = self._groups[part]
+        return Energies(h5.read(group["signal_energy"]), h5.read(group["residual_energy"]))
+
+
+@contextmanager
+def open_transfer(path: Path) -> Iterator[TransferFile]:
+    """Open a transfer file and check everything but the coefficients' own checksums.
+
+    Raises
+    ------
+    CorruptArtefact
+        Naming the dataset that is damaged, missing or not what the schema says.
+    """
+    with h5.open_file(path, "transfer") as file:
+        positions, faces, normals, uv = get_mesh(file)
+        centres, bandwidth = get_basis(file)
+        groups = child_parts(file)
+        header = TransferHeader(
+            positions=positions,
+            faces=faces,
+            normals=normals,
+            uv=uv,
+            centres=centres,
+            bandwidth=bandwidth,
+            parts=tuple(_get_part(group, len(centres)) for group in groups),
+            provenance=h5.get_object(file, "provenance"),
+        )
+        ranges = [part.vertex_range for part in header.parts]
+        ends = [0, *(stop for _, stop in ranges)]
+        if [start for start, _ in ranges] != ends[:-1] or ends[-1] != len(positions):
+            raise CorruptArtefact(f"/parts: ranges {ranges} do not cover {len(positions)} vertices")
+        yield TransferFile(header, groups)
+
+
+def _get_part(group: h5py.Group, n_coeffs: int) -> TransferPart:
+    surface = get_surface(group)
+    start, stop = surface["vertex_range"]
+    verts = stop - start
+    coefficients = h5.dataset(group, "coefficients", "i", 3)
+    n_terms = coefficients.shape[1]
+    if coefficients.dtype != np.int16 or coefficients.shape != (verts, n_terms, n_coeffs):
+        raise CorruptArtefact(
+            f"{coefficients.name} is {coefficients.dtype} {coefficients.shape}, "
+            f"not int16 {(verts, n_terms, n_coeffs)}"
+        )
+    for name, axes in PER_VERTEX.items():
+        h5.get(group, name, "f", (verts, n_terms)[: len(axes.split())])
+    areas = h5.get(group, "areas", "f", (verts,)).astype(np.float64)
+    frames = None
+    if h5.has(group, "frames"):
+        frames = h5.get(group, "frames", "f", (verts, 3, 3)).astype(np.float64)
+    return TransferPart(**surface, areas=areas, n_terms=n_terms, frames=frames)
+
+
+def _stored_chunk(source: h5py.Dataset, start: int) -> tuple[int, bytes]:
+    try:
+        mask, chunk = source.id.read_direct_chunk((start, 0, 0))
+    except (OSError, RuntimeError) as error:
+        raise CorruptArtefact(f"{source.name} lacks its chunk at vertex {start}") from error
+    return int(mask), chunk
+
+
+def _create_coefficients(group: h5py.Group, shape: tuple[int, ...]) -> h5py.Dataset:
+    rows = schema.transfer_chunk_vertices(shape[1], shape[2])
+    target = h5.create(
+        group, "coefficients", shape, np.dtype(np.int16), "verts terms coeffs",
+        chunk_rows=rows, growing=True, level=schema.TRANSFER_GZIP_LEVEL,
+    )  # fmt: skip
+    h5.set_attribute(target, "scale", "scale")
+    return target
+
+
+def _put_vertex_data(group: h5py.Group, scale: F32, signal: F64, residual: F64) -> None:
+    h5.put(group, "scale", scale, PER_VERTEX["scale"])
+    h5.put(group, "signal_energy", signal.astype(np.float64), "verts")
+    h5.put(group, "residual_energy", residual.astype(np.float64), "verts")
+
+
+def _join_part(group: h5py.Group, part: TransferPart, n_coeffs: int, paths: Sequence[Path]) -> None:
+    shape = (part.n_vertices, part.n_terms, n_coeffs)
+    target = _create_coefficients(group, shape)
+    rows = schema.transfer_chunk_vertices(part.n_terms, n_coeffs)
+    vertex_data: dict[str, list[NDArray[Any]]] = {name: [] for name in PER_VERTEX}
+    start = 0
+    for path in paths:
+        with h5.open_file(path, "transfer") as tile:
+            source = h5.dataset(tile, "coefficients", "i", 3)
+            if source.shape[1:] != shape[1:] or source.chunks != target.chunks:
+                raise CorruptArtefact(
+                    f"tile at vertex {start} of part {part.name!r} has shape {source.shape}"
+                )
+            if start % rows:
+                raise CorruptArtefact(f"tile at vertex {start} does not start at a chunk of {rows}")
+            count = source.shape[0]
+            for offset in range(0, count, rows):
+                mask, chunk = _stored_chunk(source, offset)
+                target.id.write_direct_chunk((start + offset, 0, 0), chunk, mask)
+            for name, axes in PER_VERTEX.items():
+                expected = (count, part.n_terms)[: len(axes.split())]
+                vertex_data[name].append(h5.get(tile, name, "f", expected))
+        start += count
+    if start != part.n_vertices:
+        raise CorruptArtefact(
+            f"tiles hold {start} vertices of part {part.name!r}, not {part.n_vertices}"
+        )
+    joined = {name: np.concatenate(pieces) for name, pieces in vertex_data.items()}
+    _put_vertex_data(group, joined["scale"], joined["signal_energy"], joined["residual_energy"])

@@ -1,0 +1,234 @@
+"""Assets through HDF5: nothing lost, nothing random, nothing believed."""
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.writer import write_asset
+
+
+def differences(a: object, b: object, where: str = "") -> list[str]:
+    """Names of all fields in which two records differ, bit for bit."""
+    if dataclasses.is_dataclass(a) and type(a) is type(b):
+        return [
+            name
+            for field in dataclasses.fields(a)
+            for name in differences(
+                getattr(a, field.name), getattr(b, field.name), f"{where}/{field.name}"
+            )
+        ]
+    if isinstance(a, np.ndarray):
+        same = isinstance(b, np.ndarray) and a.dtype == b.dtype and np.array_equal(a, b)
+        return [] if same else [where]
+    if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
+        return [
+            n
+            for i, (x, y) in enumerate(zip(a, b, strict=True))
+            for n in differences(x, y, f"{where}/{i}")
+        ]
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return [name for key in a for name in differences(a[key], b[key], f"{where}/{key}")]
+    return [] if a == b else [where]
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_what_write_returns_is_what_read_gives(asset: Asset, tmp_path: Path, bits: int) -> None:
+    seen = write_asset(tmp_path / "a.h5", asset, bits=bits)
+    assert differences(seen, read_asset(tmp_path / "a.h5")) == []
+    assert (differences(seen, asset) == []) == (bits == 32)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_the_same_asset_gives_the_same_bytes(asset: Asset, tmp_path: Path, bits: int) -> None:
+    write_asset(tmp_path / "a.h5", asset, bits=bits)
+    write_asset(tmp_path / "b.h5", asset, bits=bits)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    other = dataclasses.replace(asset, provenance={"seed": 4})
+    write_asset(tmp_path / "c.h5", other, bits=bits)
+    assert (tmp_path / "a.h5").read_bytes() != (tmp_path / "c.h5").read_bytes()
+
+
+def test_any_changed_byte_is_found_or_changes_nothing(asset: Asset, tmp_path: Path) -> None:
+    """Free space inside the file is not read; every other byte is under a checksum."""
+    path, bad = tmp_path / "a.h5", tmp_path / "bad.h5"
+    seen = write_asset(path, asset)
+    data = path.read_bytes()
+    found = 0
+    places = range(0, len(data), len(data) // 150)
+    for place in places:
+        bad.write_bytes(data[:place] + bytes([data[place] ^ 0x10]) + data[place + 1 :])
+        try:
+            assert differences(seen, read_asset(bad)) == [], f"byte {place} went unnoticed"
+        except CorruptArtefact:
+            found += 1
+    # the rest is slack that the library leaves between objects
+    assert found > 0.5 * len(places), found
+
+
+def test_a_flipped_byte_of_a_dataset_names_the_dataset(asset: Asset, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    with h5py.File(path) as file:
+        place = file["parts/0/clusters/light_bases"].id.get_chunk_info(0).byte_offset
+    data = bytearray(path.read_bytes())
+    data[place + 20] ^= 1
+    path.write_bytes(bytes(data))
+    with pytest.raises(CorruptArtefact, match="/parts/0/clusters/light_bases"):
+        read_asset(path)
+
+
+@pytest.mark.parametrize("length", [0, 7, 100, 3000])
+def test_a_truncated_file_is_refused(asset: Asset, tmp_path: Path, length: int) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(CorruptArtefact):
+        read_asset(path)
+
+
+def edited(path: Path, name: str, value: np.ndarray | None, **attributes: object) -> None:
+    """Replace a dataset by one with the same filters, as a hostile writer would."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file[name]
+        if value is not None:
+            made = file.create_dataset(name, data=value, chunks=value.shape, compression="gzip")
+            made.attrs.update(attributes)
+
+
+BREAKS = {
+    "mesh/faces": np.full((20, 3), 90, np.int32),
+    "mesh/positions": np.full((90, 3), np.nan, np.float32),
+    "mesh/normals": np.zeros((90, 3), np.int16),
+    "parts/0/clusters/labels": np.full(60, -1, np.int32),
+    "parts/0/clusters/dual_bases": np.zeros((4, 4, 14), np.int16),
+    "parts/0/weights": np.zeros((59, 4), np.int16),
+    "parts/0/view_texture_scale": np.full((1, 1, 3, 3), np.inf, np.float32),
+    "parts/1/clusters/means": np.zeros((4, 41), np.float32),
+    "parts/1/albedo": np.zeros(2, np.float32),
+    "parts/1/material": np.array([b"[1, 2"]),
+    "basis/centres": np.zeros((42, 3)),
+    "provenance": np.array([b"[]"]),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_a_dataset_that_breaks_the_schema_is_named(asset: Asset, tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    edited(path, name, BREAKS[name])
+    with pytest.raises(CorruptArtefact, match=name.rsplit("_scale")[0]):
+        read_asset(path)
+
+
+@pytest.mark.parametrize("name", ["mesh/faces", "parts/0/weights", "provenance", "basis/centres"])
+def test_a_missing_dataset_is_named(asset: Asset, tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    edited(path, name, None)
+    with pytest.raises(CorruptArtefact, match=name):
+        read_asset(path)
+
+
+def test_links_out_of_the_file_are_not_followed(asset: Asset, tmp_path: Path) -> None:
+    path, other = tmp_path / "a.h5", tmp_path / "other.h5"
+    write_asset(path, asset)
+    write_asset(other, asset)
+    for link in (h5py.ExternalLink(str(other), "/mesh"), h5py.SoftLink("/parts")):
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            del file["mesh"]
+            file["mesh"] = link
+        with pytest.raises(CorruptArtefact, match="/mesh is a link"):
+            read_asset(path)
+
+
+def test_data_kept_outside_the_file_is_not_read(asset: Asset, tmp_path: Path) -> None:
+    path, other = tmp_path / "a.h5", tmp_path / "other.h5"
+    write_asset(path, asset)
+    write_asset(other, asset, bits=32)
+    layout = h5py.VirtualLayout(shape=(90, 3), dtype=np.float32)
+    layout[:] = h5py.VirtualSource(other, "mesh/positions", shape=(90, 3))
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["mesh/positions"]
+        file.create_virtual_dataset("mesh/positions", layout)
+    with pytest.raises(CorruptArtefact, match="/mesh/positions is not stored as chunks"):
+        read_asset(path)
+    raw = tmp_path / "raw.bin"
+    raw.write_bytes(bytes(90 * 3 * 4))
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["mesh/positions"]
+        file.create_dataset(
+            "mesh/positions", (90, 3), np.float32, external=[(str(raw), 0, 90 * 3 * 4)]
+        )
+    with pytest.raises(CorruptArtefact, match="/mesh/positions is not stored as chunks"):
+        read_asset(path)
+
+
+def test_a_claim_of_terabytes_is_refused_before_memory_is_asked_for(
+    asset: Asset, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["mesh/positions"]
+        file.create_dataset("mesh/positions", (1 << 40, 3), np.float32, chunks=(1024, 3))
+    with pytest.raises(CorruptArtefact, match="never written"):
+        read_asset(path)
+
+
+def test_object_references_are_refused(asset: Asset, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["mesh/faces"]
+        file.create_dataset(
+            "mesh/faces", data=np.array([[file["mesh"].ref] * 3], h5py.ref_dtype), chunks=(1, 3)
+        )
+    with pytest.raises(CorruptArtefact, match="/mesh/faces holds"):
+        read_asset(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("format", b"other"), ("version", 99), ("kind", b"light")]
+)
+def test_another_format_version_or_kind_is_refused(
+    asset: Asset, tmp_path: Path, name: str, value: object
+) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file.attrs[name] = value
+    with pytest.raises(CorruptArtefact, match=name):
+        read_asset(path)
+
+
+def test_a_failed_write_leaves_nothing(asset: Asset, tmp_path: Path) -> None:
+    part = asset.parts[0]
+    broken = dataclasses.replace(part, weights=np.full_like(part.weights, np.nan))
+    with pytest.raises(ValueError, match="parts/0/weights is not finite"):
+        write_asset(tmp_path / "a.h5", dataclasses.replace(asset, parts=(broken, asset.parts[1])))
+    unwritable = dataclasses.replace(asset, provenance={"x": float("nan")})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_asset(tmp_path / "a.h5", unwritable)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_any_hdf5_reader_finds_values_axes_and_scales(asset: Asset, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    part: Part = asset.parts[0]
+    with h5py.File(path) as file:
+        bases = file["parts/0/clusters/light_bases"]
+        assert bases.attrs["axes"] == b"clusters coeffs light"
+        scale = file["parts/0/clusters/" + bases.attrs["scale"].decode()][...]
+        plain = bases[...] * scale
+        assert (bases.compression, bases.shuffle, bases.fletcher32) == ("gzip", True, True)
+    assert part.light_bases is not None
+    assert np.abs(plain - part.light_bases).max() <= 0.51 * scale.max()
+    assert np.abs(plain - part.light_bases).max() > 0.1 * scale.max()
