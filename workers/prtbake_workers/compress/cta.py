@@ -1,0 +1,304 @@
+"""Clustered tensor approximation of a glossy transfer tensor [Tsai2006]_ section 5.2.
+
+Three phases: an initial clustering, a clustering phase that alternates between fitting the bases
+of each cluster and re-classifying the vertices, and an approximation phase that also updates the
+view basis shared by all clusters.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
+from prtbake_workers.compress.classify import reclassify
+from prtbake_workers.compress.cluster_factors import (
+    ClusterFactors,
+    initial_light_basis,
+    light_step,
+    projected_weights,
+    squared_residuals,
+    vertex_basis,
+    vertex_step,
+)
+from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
+from prtbake_workers.compress.inputs import (
+    checked_count,
+    checked_signal,
+    checked_vertex_weights,
+    clipped,
+)
+from prtbake_workers.compress.lbg import (
+    lbg,
+    members_by_cluster,
+    row_energy_by_chunks,
+    split_in_two,
+)
+from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.view_basis import (
+    initial_view_basis,
+    project_view,
+    updated_view_basis,
+)
+
+__all__ = ["CtaModel", "CtaRanks", "compress_cta"]
+
+# The initial clusters are only a start: more iterations of it win nothing in the end.
+INITIAL_ITERATIONS = 5
+# Light and vertex steps at the first fit of a cluster; later ones start warm and need one.
+FIRST_SWEEPS = 2
+APPROXIMATION_ITERATIONS = 3
+CONVERGED = 1e-3
+
+Progress = Callable[[float, str], None]
+
+
+def compress_cta(
+    transfer: Float[NDArray[Any], "verts terms coeffs"],
+    n_clusters: int,
+    ranks: CtaRanks,
+    *,
+    seed: int,
+    max_iterations: int = 10,
+    vertex_weights: Float[NDArray[Any], " verts"] | None = None,
+    progress: Progress | None = None,
+) -> CtaModel:
+    """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
+
+    Parameters
+    ----------
+    transfer
+        float32 T, (view, light) matrix of each vertex, in an orthonormal (whitened) basis of the
+        light and with orthonormal view functions, so that squared errors are squared radiance
+        errors.
+    n_clusters
+        Clusters, at least 1; cut to the number of vertices.
+    ranks
+        (view, light, vert) reduced ranks, at least 1; cut to what the tensor's shape can fill.
+    seed
+        Start of the clustering; the same seed and tensor give the same model.
+    max_iterations
+        Most iterations of the clustering phase.  It ends earlier when no vertex moves or an
+        iteration wins less than 0.1 %.
+    vertex_weights
+        Weight of each vertex in the squared error, >= 0, e.g. its area; ones when None.  Vertices
+        of weight zero are approximated by what serves the others.
+    progress
+        Called with the fraction done and a word on the state, at most once a step.
+
+    Returns
+    -------
+    CtaModel
+        Clusters may be fewer than asked for where the tensor has too few distinct vertices, and
+        each has its true ranks; ``notes`` says so.
+
+    Raises
+    ------
+    SettingsError
+        For what cannot be used, with the argument as pointer and the vertex in the message.
+    ObjectiveRose
+        Where the squared error rises between model steps by more than 1e-7 of the squared norm.
+
+    Notes
+    -----
+    A light basis starts from the last iteration's, so the squared error cannot rise.  An empty
+    cluster takes a part of the one with the largest error, along with its bases.
+    """
+    t = checked_signal(transfer, "transfer", ("verts", "terms", "coeffs"))
+    weights = checked_vertex_weights(vertex_weights, len(t))
+    notes: list[str] = []
+    n_clusters = clipped(
+        checked_count(n_clusters, "n_clusters"),
+        len(t),
+        "n_clusters",
+        "one vertex a cluster at least",
+        notes,
+    )
+    ranks = _fitting_ranks(CtaRanks(*ranks), t, notes)
+    checked_count(max_iterations, "max_iterations")
+
+    fit = _Fit(t, weights, ranks, n_clusters, np.random.default_rng(seed), max_iterations)
+    fit.run(progress or _no_progress)
+    return fit.model(seed, notes)
+
+
+def _no_progress(fraction: float, state: str) -> None:
+    """Report to nobody."""
+
+
+def _fitting_ranks(
+    ranks: CtaRanks, transfer: Float32[F32, "verts terms coeffs"], notes: list[str]
+) -> CtaRanks:
+    """Return ``ranks`` cut to what a tensor of this shape can have."""
+    n_verts, n_terms, n_coeffs = transfer.shape
+    for name, value in zip(ranks._fields, ranks, strict=True):
+        checked_count(value, f"ranks/{name}")
+    view = clipped(ranks.view, n_terms, "ranks.view", f"{n_terms} terms", notes)
+    light = clipped(ranks.light, n_coeffs, "ranks.light", f"{n_coeffs} coefficients", notes)
+    span = min(n_verts, view * light)
+    vert = clipped(ranks.vert, span, "ranks.vert", f"vertices span {span} dimensions", notes)
+    return CtaRanks(view, light, vert)
+
+
+class _Fit:
+    """State of the iteration: bases, labels, and the squared error of every vertex.
+
+    ``errors`` is what the clusters' bases leave of Z_view, ``view_errors`` what the view basis
+    leaves of T.  They are orthogonal, so their sum is the vertex's squared error.
+    """
+
+    def __init__(
+        self,
+        transfer: Float32[F32, "verts terms coeffs"],
+        weights: Float64[F64, " verts"],
+        ranks: CtaRanks,
+        n_clusters: int,
+        rng: np.random.Generator,
+        max_iterations: int,
+    ) -> None:
+        n_verts, _, n_coeffs = transfer.shape
+        self.transfer, self.weights, self.ranks = transfer, weights, ranks
+        self.n_clusters, self.rng, self.max_iterations = n_clusters, rng, max_iterations
+        self.root_weights = np.sqrt(weights)
+        self.view_basis = initial_view_basis(transfer, weights, ranks.view)
+        self.z = np.empty((n_verts, ranks.view, n_coeffs), dtype=np.float32)
+        self.view_errors = project_view(transfer, self.view_basis, self.z)
+        self.errors = np.zeros(n_verts)
+        self.labels: I32 = np.zeros(n_verts, dtype=np.int32)
+        self.factors: list[ClusterFactors] = []
+        energy = row_energy_by_chunks(transfer.reshape(n_verts, -1))
+        self.trace = ObjectiveTrace(float(weights @ energy), "CTA")
+
+    def run(self, progress: Progress) -> None:
+        """Run the three phases."""
+        n_steps = self.max_iterations + APPROXIMATION_ITERATIONS + 1
+        progress(0.0, "initial clusters")
+        self.labels = lbg(
+            self.z.reshape(len(self.z), -1),
+            self.n_clusters,
+            rng=self.rng,
+            weights=self.weights,
+            max_iterations=INITIAL_ITERATIONS,
+        ).labels
+        for iteration in range(self.max_iterations):
+            if iteration > 0:
+                if reclassify(self.z, self.factors, self.labels, self.errors) == 0:
+                    break
+                self._fill_empty_clusters()
+            self._fit_clusters()
+            progress((iteration + 2) / n_steps, f"clustering, error {self.trace.ratio:.3%}")
+            if self.trace.has_converged(CONVERGED):
+                break
+        for iteration in range(APPROXIMATION_ITERATIONS):
+            self._fit_all_modes()
+            done = (self.max_iterations + iteration + 2) / n_steps
+            progress(done, f"approximation, error {self.trace.ratio:.3%}")
+            if self.trace.has_converged(CONVERGED):
+                break
+        progress(1.0, f"error {self.trace.ratio:.3%}")
+
+    def _members(self) -> list[I32]:
+        return members_by_cluster(self.labels, self.n_clusters)
+
+    def _roots_of(self, verts: I32) -> F64:
+        """Square roots of the vertices' weights; ones for a cluster that weighs nothing."""
+        roots = self.root_weights[verts]
+        return roots if roots.any() else np.ones(len(verts))
+
+    def _fit_clusters(self) -> None:
+        """Model step of the clustering phase: U_light,c and V_c of every cluster."""
+        first = not self.factors
+        fitted = []
+        for cluster, verts in enumerate(self._members()):
+            z, roots = self.z[verts], self._roots_of(verts)
+            if first:
+                light = initial_light_basis(z, roots, self.ranks.light)
+                factors = vertex_step(z, light, roots, self.ranks.vert)
+            else:
+                factors = self.factors[cluster]
+            for _ in range(FIRST_SWEEPS if first else 1):
+                u_vert = vertex_basis(projected_weights(z, factors), roots)
+                light = light_step(z, u_vert, roots, self.ranks.light)
+                factors = vertex_step(z, light, roots, self.ranks.vert)
+            self.errors[verts] = squared_residuals(z, factors)
+            fitted.append(factors)
+        self.factors = fitted
+        self._record()
+
+    def _fit_all_modes(self) -> None:
+        """Model step of the approximation phase: U_view, then U_light,c and V_c."""
+        members = self._members()
+        vertex_bases = [
+            vertex_basis(projected_weights(self.z[verts], factors), self._roots_of(verts))
+            for verts, factors in zip(members, self.factors, strict=True)
+        ]
+        self.view_basis = updated_view_basis(
+            self.transfer, members, vertex_bases, self.factors, self.root_weights, self.ranks.view
+        )
+        self.view_errors = project_view(self.transfer, self.view_basis, self.z)
+        for cluster, verts in enumerate(members):
+            z, roots = self.z[verts], self._roots_of(verts)
+            light = light_step(z, vertex_bases[cluster], roots, self.ranks.light)
+            self.factors[cluster] = vertex_step(z, light, roots, self.ranks.vert)
+            self.errors[verts] = squared_residuals(z, self.factors[cluster])
+        self._record()
+
+    def _record(self) -> None:
+        self.trace.append(float(self.weights @ (self.view_errors + self.errors)))
+
+    def _fill_empty_clusters(self) -> None:
+        """Give every empty cluster a part of the worst one that can be split, and its bases."""
+        sizes = np.bincount(self.labels, minlength=self.n_clusters)
+        rows = self.z.reshape(len(self.z), -1)
+        for empty in np.flatnonzero(sizes == 0):
+            errors = np.bincount(
+                self.labels, weights=self.weights * self.errors, minlength=self.n_clusters
+            )
+            for donor in np.argsort(-errors, kind="stable"):
+                if errors[donor] <= 0.0:
+                    break
+                verts = np.flatnonzero(self.labels == donor)
+                second = split_in_two(rows[verts], self.weights[verts])
+                if second is not None:
+                    self.labels[verts[second]] = empty
+                    self.factors[empty] = self.factors[donor]
+                    break
+
+    def model(self, seed: int, notes: list[str]) -> CtaModel:
+        """Return the fitted model without empty clusters."""
+        used, labels = np.unique(self.labels, return_inverse=True)
+        if len(used) < self.n_clusters:
+            left_out = self.n_clusters - len(used)
+            notes.append(f"{left_out} clusters left out: too few distinct vertices")
+        n_coeffs = self.z.shape[2]
+        r_view, r_light, r_vert = self.ranks
+        light = np.zeros((len(used), n_coeffs, r_light), dtype=np.float32)
+        dual = np.zeros((len(used), r_vert, r_view, r_light), dtype=np.float32)
+        weights = np.zeros((len(self.z), r_vert), dtype=np.float32)
+        ranks = np.zeros((len(used), 3), dtype=np.int32)
+        members = members_by_cluster(labels.astype(np.int32), len(used))
+        for index, verts in enumerate(members):
+            factors = self.factors[used[index]]
+            own_light, own_vert = factors.light.shape[1], len(factors.dual)
+            ranks[index] = r_view, own_light, own_vert
+            light[index, :, :own_light] = factors.light
+            dual[index, :own_vert, :, :own_light] = factors.dual.reshape(
+                own_vert, r_view, own_light
+            )
+            weights[verts, :own_vert] = projected_weights(self.z[verts], factors)
+        return CtaModel(
+            view_basis=self.view_basis,
+            light_bases=light,
+            dual_bases=dual.reshape(len(used), r_vert, r_view * r_light),
+            weights=weights,
+            labels=labels.astype(np.int32),
+            ranks=ranks,
+            objective=self.trace.values,
+            initial_energy=self.trace.squared_norm,
+            squared_error_per_vertex=self.view_errors + self.errors,
+            iterations=len(self.trace.values),
+            seed=seed,
+            notes=notes,
+        )

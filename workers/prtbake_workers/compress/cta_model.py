@@ -1,0 +1,93 @@
+"""The result of clustered tensor approximation."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+
+
+class CtaRanks(NamedTuple):
+    """Reduced ranks of the three modes: R_view, R_light and R_vert of [Tsai2006]_."""
+
+    view: int
+    light: int
+    vert: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CtaModel:
+    """A transfer tensor as one view basis, and two bases for each cluster of vertices.
+
+    T_x ~ U_view uf^-1(V_c^T w_x) U_light,c^T ([Tsai2006]_ eq. 18), with ``view_basis`` U_view,
+    ``light_bases`` U_light,c, ``dual_bases`` V_c and ``weights`` w_x.
+
+    Attributes
+    ----------
+    view_basis
+        Orthonormal columns, shared by all clusters.
+    light_bases
+        Orthonormal columns of each cluster; zero beyond its rank.
+    dual_bases
+        Orthonormal rows of each cluster, zero beyond its rank.  A row unfolds to
+        (R_view, R_light), light last.
+    weights
+        Projected weights of each vertex; zero beyond its cluster's rank.
+    labels
+        Cluster of each vertex.
+    ranks
+        True (view, light, vert) ranks of each cluster.
+    objective
+        Squared error, weighted by the vertices' weights, after each model step.
+    initial_energy
+        Squared norm of the tensor with the same weights.
+    squared_error_per_vertex
+        Squared error of each vertex, without its weight.
+    iterations, seed
+        Model steps, and the seed of the initial clustering.
+    notes
+        What was cut or left out, in words.
+    """
+
+    view_basis: Float32[F32, "terms r_view"]
+    light_bases: Float32[F32, "clusters coeffs r_light"]
+    dual_bases: Float32[F32, "clusters r_vert r_view_light"]
+    weights: Float32[F32, "verts r_vert"]
+    labels: Int32[I32, " verts"]
+    ranks: Int32[I32, "clusters 3"]
+    objective: list[float]
+    initial_energy: float
+    squared_error_per_vertex: Float64[F64, " verts"]
+    iterations: int
+    seed: int
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def n_clusters(self) -> int:
+        """Clusters, none of them empty."""
+        return len(self.light_bases)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the float32 factors as they are held."""
+        factors = (self.view_basis, self.light_bases, self.dual_bases, self.weights)
+        return sum(factor.nbytes for factor in factors)
+
+    @property
+    def squared_error_ratio(self) -> float:
+        """Squared error over squared norm, both weighted; 0 for a tensor of zeros."""
+        return self.objective[-1] / self.initial_energy if self.initial_energy > 0.0 else 0.0
+
+    def reconstruct(self, verts: slice | None = None) -> Float32[F32, "part_verts terms coeffs"]:
+        """Return the approximated transfer of ``verts``, or of every vertex."""
+        part = slice(None) if verts is None else verts
+        labels, weights = self.labels[part], self.weights[part]
+        n_terms, r_view = self.view_basis.shape
+        n_coeffs, r_light = self.light_bases.shape[1:]
+        transfer = np.empty((len(labels), n_terms, n_coeffs), dtype=np.float32)
+        for cluster in np.unique(labels):
+            members = np.flatnonzero(labels == cluster)
+            core = (weights[members] @ self.dual_bases[cluster]).reshape(-1, r_view, r_light)
+            transfer[members] = (self.view_basis @ core) @ self.light_bases[cluster].T
+        return transfer

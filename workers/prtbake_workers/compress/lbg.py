@@ -1,0 +1,242 @@
+"""Vector quantisation: clusters of vertices whose signals lie near their cluster's mean.
+
+The LBG iteration [Linde1980]_ as [Sloan2003]_ section 4.1 uses it, with seeds spread by squared
+distance and with empty clusters re-seeded by splitting ([Chen2005]_ section 3.1.2).  CPCA's
+clusters are these; CTA starts from them.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
+from prtbake_workers.compress.energy import row_chunks, row_energy
+from prtbake_workers.compress.monotone import ObjectiveTrace
+
+# Seeds are drawn from this many vertices a cluster: enough to meet every region of the signal,
+# and few enough that seeding costs less than one iteration.
+SEED_VERTS_PER_CLUSTER = 24
+# Squared distances below this share of the two squared norms are float32 rounding: the same point.
+SAME_POINT = 1e-6
+SPLIT_ITERATIONS = 3
+
+
+class LbgResult(NamedTuple):
+    """Clusters of vertices.
+
+    Attributes
+    ----------
+    labels
+        Cluster of each vertex.
+    means
+        Mean signal of each cluster; zeros for an empty one, which no split could fill.
+    objective
+        Weighted sum of squared distances to the means, after each iteration.
+    squared_distances
+        Squared distance of each vertex to its mean, without its weight.
+    """
+
+    labels: Int32[I32, " verts"]
+    means: Float32[F32, "clusters dims"]
+    objective: list[float]
+    squared_distances: Float64[F64, " verts"]
+
+
+def lbg(
+    signal: Float32[F32, "verts dims"],
+    n_clusters: int,
+    *,
+    rng: np.random.Generator,
+    weights: Float64[F64, " verts"],
+    max_iterations: int,
+    tolerance: float = 1e-4,
+) -> LbgResult:
+    """Cluster the rows of ``signal`` by their distance to the clusters' means.
+
+    Parameters
+    ----------
+    signal
+        One row a vertex.
+    n_clusters
+        Clusters wanted, 1 to the number of vertices; some stay empty only where the signal has
+        fewer distinct rows.
+    rng
+        Source of the seeds.
+    weights
+        Weight of each vertex in means and objective, >= 0.
+    max_iterations, tolerance
+        Stop after so many iterations, when none moves, or when one wins less than this share of
+        the objective.
+
+    Notes
+    -----
+    One matrix product ranks the means for all vertices; a vertex moves only when its squared
+    distance, taken as the difference itself, falls.  So rounding in the product moves nobody, and
+    the objective never rises.
+    """
+    means = _seed_means(signal, n_clusters, rng, weights)
+    state = _Clustering(
+        np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf)
+    )
+    trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
+    for _ in range(max_iterations):
+        n_moved = _classify(signal, state)
+        _fill_empty_clusters(signal, state, weights)
+        _update_means(signal, state, weights)
+        trace.append(float(weights @ state.squared_distances))
+        if n_moved == 0 or trace.has_converged(tolerance):
+            break
+    return LbgResult(state.labels, state.means, trace.values, state.squared_distances)
+
+
+@dataclass
+class _Clustering:
+    labels: I32
+    means: F32
+    squared_distances: F64
+
+
+def members_by_cluster(labels: Int32[I32, " verts"], n_clusters: int) -> list[I32]:
+    """Return the vertices of each cluster, rising."""
+    order = np.argsort(labels, kind="stable").astype(np.int32)
+    ends = np.cumsum(np.bincount(labels, minlength=n_clusters))
+    return [order[a:b] for a, b in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)]
+
+
+def row_energy_by_chunks(signal: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
+    """Return the squared norm of each row, without a copy of the whole signal."""
+    return np.concatenate([row_energy(signal[chunk]) for chunk in row_chunks(signal)])
+
+
+def weighted_mean(
+    signal: Float32[F32, "verts dims"], weights: Float64[F64, " verts"]
+) -> Float32[F32, " dims"]:
+    """Return the weighted mean of the rows; the plain mean where every weight is zero."""
+    if not weights.any():
+        weights = np.ones(len(weights))
+    mean = (weights / weights.sum()) @ signal.astype(np.float64)
+    return np.asarray(mean, dtype=np.float32)
+
+
+def split_in_two(
+    signal: Float32[F32, "verts dims"], weights: Float64[F64, " verts"]
+) -> Bool[B8, " verts"] | None:
+    """Cut rows into two groups by a short 2-means, or return None where all rows are the same.
+
+    It starts from the row farthest from the mean and the row farthest from that one.
+    """
+    if len(signal) < 2:
+        return None
+    from_mean = row_energy(signal - weighted_mean(signal, weights))
+    one = signal[int(np.argmax(from_mean))]
+    other = signal[int(np.argmax(row_energy(signal - one)))]
+    if np.array_equal(one, other):
+        return None
+    second = np.zeros(len(signal), dtype=np.bool_)
+    for _ in range(SPLIT_ITERATIONS):
+        nearer_other = row_energy(signal - other) < row_energy(signal - one)
+        if nearer_other.all() or not nearer_other.any():
+            break
+        second = nearer_other
+        one = weighted_mean(signal[~second], weights[~second])
+        other = weighted_mean(signal[second], weights[second])
+    return second if second.any() else None
+
+
+def _seed_means(
+    signal: Float32[F32, "verts dims"],
+    n_clusters: int,
+    rng: np.random.Generator,
+    weights: Float64[F64, " verts"],
+) -> Float32[F32, "clusters dims"]:
+    """Draw seeds, each with probability proportional to its distance from those before.
+
+    The rule of [Arthur2007]_, on a sample of the vertices, with squared distances taken about the
+    sample's mean so that a large constant part of the signal cancels nothing.
+    """
+    n_verts = len(signal)
+    n_sample = min(n_verts, max(1024, SEED_VERTS_PER_CLUSTER * n_clusters))
+    if not weights.any():
+        weights = np.ones(n_verts)
+    sample = np.sort(rng.choice(n_verts, size=n_sample, replace=False))
+    points = signal[sample]
+    points -= points.mean(axis=0, dtype=np.float64).astype(np.float32)
+    share = np.where(weights[sample] > 0.0, weights[sample], 0.0)
+    share = share / share.sum() if share.any() else np.full(n_sample, 1.0 / n_sample)
+    energy = row_energy(points)
+    chosen = [int(rng.choice(n_sample, p=share))]
+    nearest = np.full(n_sample, np.inf)
+    while True:
+        seed = chosen[-1]
+        distance = energy + energy[seed] - 2.0 * (points @ points[seed])
+        distance[distance < SAME_POINT * (energy + energy[seed])] = 0.0
+        nearest = np.minimum(nearest, distance)
+        nearest[seed] = 0.0
+        pull = share * nearest
+        if len(chosen) == n_clusters or not pull.any():
+            break
+        chosen.append(int(rng.choice(n_sample, p=pull / pull.sum())))
+    # Too few distinct points: the clusters left over start where the first does, and stay empty
+    # or are filled by a split.
+    chosen += [chosen[0]] * (n_clusters - len(chosen))
+    return signal[sample[chosen]]
+
+
+def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
+    """Move each vertex to its nearest mean; return how many moved."""
+    offset = state.means.mean(axis=0, dtype=np.float64).astype(np.float32)
+    centred = state.means - offset
+    # |x - m|^2 = |x - o|^2 - 2 (x - o).(m - o) + |m - o|^2: the first term is the vertex's own.
+    constant = row_energy(centred) + 2.0 * (centred.astype(np.float64) @ offset)
+    n_moved = 0
+    for chunk in row_chunks(signal):
+        rows = signal[chunk]
+        proposed = np.argmin(constant - 2.0 * (rows @ centred.T), axis=1).astype(np.int32)
+        labels, best = state.labels[chunk], state.squared_distances[chunk]
+        movers = np.flatnonzero((proposed != labels) | np.isinf(best))
+        distance = row_energy(rows[movers] - state.means[proposed[movers]])
+        nearer = distance < best[movers]
+        movers, distance = movers[nearer], distance[nearer]
+        labels[movers] = proposed[movers]
+        best[movers] = distance
+        n_moved += len(movers)
+    return n_moved
+
+
+def _fill_empty_clusters(
+    signal: Float32[F32, "verts dims"], state: _Clustering, weights: Float64[F64, " verts"]
+) -> None:
+    """Give every empty cluster a part of the one with the largest error that can be split."""
+    n_clusters = len(state.means)
+    sizes = np.bincount(state.labels, minlength=n_clusters)
+    for empty in np.flatnonzero(sizes == 0):
+        errors = np.bincount(
+            state.labels, weights=weights * state.squared_distances, minlength=n_clusters
+        )
+        for donor in np.argsort(-errors, kind="stable"):
+            if errors[donor] <= 0.0:
+                break
+            members = np.flatnonzero(state.labels == donor)
+            second = split_in_two(signal[members], weights[members])
+            if second is None:
+                continue
+            state.labels[members[second]] = empty
+            for cluster, part in ((donor, members[~second]), (empty, members[second])):
+                state.means[cluster] = weighted_mean(signal[part], weights[part])
+                state.squared_distances[part] = row_energy(signal[part] - state.means[cluster])
+            break
+
+
+def _update_means(
+    signal: Float32[F32, "verts dims"], state: _Clustering, weights: Float64[F64, " verts"]
+) -> None:
+    """Set every mean to that of its members, and the distances to match."""
+    for cluster, members in enumerate(members_by_cluster(state.labels, len(state.means))):
+        if len(members) == 0:
+            state.means[cluster] = 0.0
+            continue
+        rows = signal[members]
+        mean = weighted_mean(rows, weights[members])
+        state.means[cluster] = mean
+        state.squared_distances[members] = row_energy(rows - mean)

@@ -1,0 +1,74 @@
+"""The rule that an objective may not rise, kept while it is being reduced.
+
+Every step of the clusterings and of the alternating fits is a minimisation with the rest held
+fixed, so the squared error can only fall.  Where it rises by more than rounding, a step is wrong.
+"""
+
+import math
+
+from prtbake_storage.errors import PrtError
+
+# What float32 products cost, as a share of the input's squared norm: one rounding of a stored
+# factor is 6e-8, and differences of energies inherit it.
+ALLOWED_RISE = 1e-7
+
+
+class ObjectiveRose(PrtError):
+    """A step that must not raise the squared error did: a fault of the program, not of the data."""
+
+    code = "objective-rose"
+
+
+class ObjectiveTrace:
+    """The squared error after each step, checked against the one before.
+
+    Parameters
+    ----------
+    squared_norm
+        Squared norm of the input in the objective's own units, >= 0.
+    name
+        What is being minimised, for the message.
+    """
+
+    def __init__(self, squared_norm: float, name: str) -> None:
+        self.squared_norm = squared_norm
+        self.name = name
+        self.values: list[float] = []
+
+    def append(self, value: float) -> None:
+        """Add the objective after a step.
+
+        Raises
+        ------
+        ObjectiveRose
+            When ``value`` is above the one before by more than ``ALLOWED_RISE`` of the squared
+            norm, or is not a number.
+        """
+        if not math.isfinite(value):
+            raise ObjectiveRose(f"{self.name}: objective {value} after {len(self.values)} steps")
+        if self.values:
+            rise = value - self.values[-1]
+            if rise > ALLOWED_RISE * self.squared_norm:
+                raise ObjectiveRose(
+                    f"{self.name}: step {len(self.values)} raised the squared error from "
+                    f"{self.values[-1]:.9g} to {value:.9g}, "
+                    f"{rise / self.squared_norm:.2e} of the input's squared norm"
+                )
+        self.values.append(value)
+
+    @property
+    def ratio(self) -> float:
+        """The last objective over the squared norm; 0 for an input of zeros."""
+        if not self.values or self.squared_norm == 0.0:
+            return 0.0
+        return self.values[-1] / self.squared_norm
+
+    def has_converged(self, tolerance: float) -> bool:
+        """Whether the last step won less than ``tolerance`` of the objective before it."""
+        if not self.values:
+            return False
+        if self.values[-1] <= 0.0:
+            return True
+        if len(self.values) < 2:
+            return False
+        return self.values[-2] - self.values[-1] < tolerance * self.values[-2]
