@@ -1,0 +1,92 @@
+"""Several meshes as one: what a bake sees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from prtbake_workers.arrays import F64, I32, Float64, Int32
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All parts in one set of arrays; every part shadows every other.
+
+    Attributes
+    ----------
+    positions, normals, faces
+        As in `Mesh`, part after part.
+    frames
+        Rows tangent, bitangent, normal of each vertex.
+    areas
+        A third of the area of the triangles around each vertex.
+    uv
+        Texture coordinates, NaN for the vertices of a part without any; None if none has.
+    part_ranges
+        First and one past the last vertex of each part.
+    part_of_face
+        Part of each triangle.
+    """
+
+    positions: Float64[F64, "verts 3"]
+    faces: Int32[I32, "tris 3"]
+    normals: Float64[F64, "verts 3"]
+    frames: Float64[F64, "verts 3 3"]
+    areas: Float64[F64, " verts"]
+    uv: Float64[F64, "verts 2"] | None
+    part_ranges: tuple[tuple[int, int], ...]
+    part_of_face: Int32[I32, " tris"]
+
+    @classmethod
+    def from_parts(cls, parts: Sequence[Mesh], frame_seed: int | None = None) -> "Scene":
+        """Join meshes; ``frame_seed`` turns the tangent frames at random (see `tangent_frames`)."""
+        if not parts:
+            raise ValueError("a scene needs at least one part")
+        stops = np.cumsum([part.n_vertices for part in parts])
+        ranges = tuple(
+            (int(stop) - part.n_vertices, int(stop))
+            for part, stop in zip(parts, stops, strict=True)
+        )
+        normals = np.concatenate([part.normals for part in parts])
+        uv = None
+        if any(part.uv is not None for part in parts):
+            uv = np.concatenate(
+                [np.full((p.n_vertices, 2), np.nan) if p.uv is None else p.uv for p in parts]
+            )
+        return cls(
+            positions=np.concatenate([part.positions for part in parts]),
+            faces=np.concatenate(
+                [part.faces + start for part, (start, _) in zip(parts, ranges, strict=True)]
+            ).astype(np.int32),
+            normals=normals,
+            frames=tangent_frames(normals, seed=frame_seed),
+            areas=np.concatenate([part.vertex_areas for part in parts]),
+            uv=uv,
+            part_ranges=ranges,
+            part_of_face=np.repeat(
+                np.arange(len(parts), dtype=np.int32), [part.n_faces for part in parts]
+            ),
+        )
+
+    @cached_property
+    def bounds(self) -> Float64[F64, "2 3"]:
+        """Lower and upper corner of the bounding box."""
+        return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices of all parts."""
+        return len(self.positions)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of triangles of all parts."""
+        return len(self.faces)

@@ -1,0 +1,141 @@
+"""The Utah teapot, from Newell's 32 bicubic Bézier patches.
+
+Newell 1975; the numbers are those of the usual list of 306 control points, written with its
+symmetries: six rings are profiles turned about the axis, handle and spout are mirrored in their
+middle plane.
+"""
+
+from math import comb
+
+import numpy as np
+
+from prtbake_workers.arrays import F64, I64
+from prtbake_workers.geometry.mesh import Mesh, vertex_normals
+from prtbake_workers.geometry.repair import group_rows
+
+# profiles of the surfaces of revolution: (radius, height, tangent of the quarter circle), from the
+# top down; the tangent is 0.56 radii (the best circle has 0.5523), 0.45 in one place
+_RINGS = (
+    ((1.4, 2.4, 0.784), (1.3375, 2.53125, 0.749), (1.4375, 2.53125, 0.805), (1.5, 2.4, 0.84)),
+    ((1.5, 2.4, 0.84), (1.75, 1.875, 0.98), (2.0, 1.35, 1.12), (2.0, 0.9, 1.12)),
+    ((2.0, 0.9, 1.12), (2.0, 0.45, 1.12), (1.5, 0.225, 0.84), (1.5, 0.15, 0.84)),
+    ((1.5, 0.15, 0.84), (1.5, 0.075, 0.84), (1.425, 0.0, 0.798), (0.0, 0.0, 0.0)),
+    ((0.0, 3.15, 0.0), (0.8, 3.15, 0.45), (0.0, 2.85, 0.0), (0.2, 2.7, 0.112)),
+    ((0.2, 2.7, 0.112), (0.4, 2.55, 0.224), (1.3, 2.55, 0.728), (1.3, 2.4, 0.728)),
+)
+
+# tubes, half of each: rows of (inner x, inner height, outer x, outer height, half width)
+_HANDLE = (
+    ((-1.6, 2.025, -1.5, 2.25, 0.3), (-2.3, 2.025, -2.5, 2.25, 0.3),
+     (-2.7, 2.025, -3.0, 2.25, 0.3), (-2.7, 1.8, -3.0, 1.8, 0.3)),
+    ((-2.7, 1.8, -3.0, 1.8, 0.3), (-2.7, 1.575, -3.0, 1.35, 0.3),
+     (-2.5, 1.125, -2.65, 0.9375, 0.3), (-2.0, 0.9, -1.9, 0.6, 0.3)),
+)  # fmt: skip
+_SPOUT = (
+    ((1.7, 1.425, 1.7, 0.6, 0.66), (2.6, 1.425, 3.1, 0.825, 0.66),
+     (2.3, 2.1, 2.4, 2.025, 0.25), (2.7, 2.4, 3.3, 2.4, 0.25)),
+    ((2.7, 2.4, 3.3, 2.4, 0.25), (2.8, 2.475, 3.525, 2.49375, 0.25),
+     (2.9, 2.475, 3.45, 2.5125, 0.15), (2.8, 2.4, 3.2, 2.4, 0.15)),
+)  # fmt: skip
+
+_DECIMALS = 100_000
+"""Every coordinate is a whole number of 1e-5."""
+
+MAX_TESSELLATION = 64
+"""The largest for which the exact coordinates fit in 64 bits."""
+
+
+def teapot(tessellation: int) -> Mesh:
+    """Make the teapot with ``tessellation`` quads along each side of a patch, cut into triangles.
+
+    Returns
+    -------
+    Mesh
+        y up, standing on y = 0, spout along +x, 6.43 x 3.15 x 4 units; the surface of revolution,
+        the lid, the handle and the spout are not joined, as in the original (handle and spout
+        pierce the body).  No triangle is degenerate, and all face outwards.
+
+    Notes
+    -----
+    The patches are evaluated in integers, so the points of two patches along their seam are equal
+    to the last bit and can be welded by equality.  At the poles of knob and bottom a side of the
+    patch is one point; the triangles that collapse there are left out.  Handle and spout have at
+    least two quads a side.
+    """
+    if not 1 <= tessellation <= MAX_TESSELLATION:
+        raise ValueError(f"tessellation must lie in 1..{MAX_TESSELLATION}, not {tessellation}")
+    revolved = [patch for ring in _RINGS for patch in _revolve(ring)]
+    handle, spout = (
+        [patch for rows in tube for patch in _mirror(rows)] for tube in (_HANDLE, _SPOUT)
+    )
+    # half a tube that is one quad across would be flat
+    across = max(tessellation, 2)
+    positions: list[F64] = []
+    faces: list[I64] = []
+    start = 0
+    # welding stops at these three: the handle touches the body in one point
+    for patches, cells in ((revolved, tessellation), (handle, across), (spout, across)):
+        points, triangles = _weld([_evaluate(patch, cells) for patch in patches])
+        positions.append(points)
+        faces.append(triangles + start)
+        start += len(points)
+    vertices, triangles = np.concatenate(positions), np.concatenate(faces)
+    return Mesh(vertices, triangles.astype(np.int32), vertex_normals(vertices, triangles))
+
+
+def control_points() -> F64:
+    """Give the control points of the 32 patches, (patches, 4, 4, 3), y up."""
+    patches = [patch for ring in _RINGS for patch in _revolve(ring)]
+    patches += [patch for rows in (*_HANDLE, *_SPOUT) for patch in _mirror(rows)]
+    return np.stack(patches)
+
+
+def _revolve(profile: tuple[tuple[float, float, float], ...]) -> list[F64]:
+    """Make four patches of a surface of revolution: profile downwards, then counter-clockwise."""
+    radius, height, tangent = np.array(profile).T
+    zero = np.zeros(4)
+    patches = []
+    # cosine and sine of the quarter's start
+    for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        columns = [
+            np.stack([u * c - v * s, height, -(u * s + v * c)], axis=1)
+            for u, v in ((radius, zero), (radius, tangent), (tangent, radius), (zero, radius))
+        ]
+        patches.append(np.stack(columns, axis=1))
+    return patches
+
+
+def _mirror(rows: tuple[tuple[float, ...], ...]) -> list[F64]:
+    """Make both halves of a tube, each with its outside up."""
+    half = np.array(
+        [
+            [(xi, hi, 0.0), (xi, hi, width), (xo, ho, width), (xo, ho, 0.0)]
+            for xi, hi, xo, ho, width in rows
+        ]
+    )
+    # the order of the columns decides which side is outside
+    return [half[:, ::-1], half * [1.0, 1.0, -1.0]]
+
+
+def _evaluate(control: F64, tessellation: int) -> F64:
+    """Compute points of a patch on a regular grid, (t + 1, t + 1, 3): exact, then rounded once."""
+    t = tessellation
+    steps = np.arange(t + 1, dtype=np.int64)
+    bernstein = np.stack([comb(3, i) * steps**i * (t - steps) ** (3 - i) for i in range(4)], 1)
+    whole = np.rint(control * _DECIMALS).astype(np.int64)
+    exact = np.einsum("si,tj,ijx->stx", bernstein, bernstein, whole)
+    points: F64 = exact / float(_DECIMALS * t**6)
+    return points
+
+
+def _weld(grids: list[F64]) -> tuple[F64, I64]:
+    """Join the grids at equal points; two triangles a cell, without those that collapse."""
+    n = len(grids[0])
+    vertex, first = group_rows(np.concatenate([grid.reshape(-1, 3) for grid in grids]))
+    points = np.concatenate([grid.reshape(-1, 3) for grid in grids])[first]
+    index = vertex.reshape(len(grids), n, n)
+    a, b = index[:, :-1, :-1].ravel(), index[:, 1:, :-1].ravel()
+    c, d = index[:, 1:, 1:].ravel(), index[:, :-1, 1:].ravel()
+    triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1).reshape(-1, 3)
+    collapsed = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    return points, triangles[~collapsed]
