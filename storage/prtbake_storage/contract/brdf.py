@@ -18,7 +18,7 @@ class LambertSpec(Wire):
 
 
 class PhongSpec(Wire):
-    """Energy-normalised Phong: ``kd / pi + ks (n + 2) / (2 pi) max(0, wo . r)^n``."""
+    """Phong: ``kd / pi + ks (n + 2) / (2 pi) max(0, wo . r)^n``; at normal view it reflects ks."""
 
     model: Literal["phong"] = "phong"
     kd: Reflectance = 0.0
@@ -27,7 +27,7 @@ class PhongSpec(Wire):
 
 
 class BlinnPhongSpec(Wire):
-    """Blinn's half-vector lobe, normalised; ``exponent`` applies to ``n . h``."""
+    """Blinn: ``kd / pi + ks (n + 2)(n + 4) / (8 pi (2^(-n/2) + n)) (n . h)^n``; as Phong's ks."""
 
     model: Literal["blinn_phong"] = "blinn_phong"
     kd: Reflectance = 0.0
@@ -36,7 +36,11 @@ class BlinnPhongSpec(Wire):
 
 
 class CookTorranceSpec(Wire):
-    """Cook-Torrance with a Beckmann distribution of slope ``m`` and Schlick's Fresnel term."""
+    """Cook-Torrance: ``kd / pi + ks F D G / (4 cos_i cos_o)``.
+
+    D = exp(-tan^2 / m^2) / (pi m^2 cos^4) of the half vector (Beckmann, ``m`` the slope), Schlick's
+    F = f0 + (1 - f0)(1 - wo.h)^5, G = min(1, 2 (n.h) min(cos_i, cos_o) / (wo.h)).
+    """
 
     model: Literal["cook_torrance"] = "cook_torrance"
     kd: Reflectance = 0.3
@@ -46,7 +50,11 @@ class CookTorranceSpec(Wire):
 
 
 class GgxSpec(Wire):
-    """Trowbridge-Reitz (GGX) microfacets of width ``alpha`` with Smith's height-correlated term."""
+    """Trowbridge-Reitz (GGX): ``kd / pi + ks F D G / (4 cos_i cos_o)``.
+
+    D = alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2) of the half vector (``alpha`` itself, not its
+    root), Schlick's F as in Cook-Torrance, Smith's height-correlated G.
+    """
 
     model: Literal["ggx"] = "ggx"
     kd: Reflectance = 0.0
@@ -59,9 +67,9 @@ BrdfSpec = Annotated[
     LambertSpec | PhongSpec | BlinnPhongSpec | CookTorranceSpec | GgxSpec,
     Field(discriminator="model"),
 ]
-brdf_adapter: TypeAdapter[
-    LambertSpec | PhongSpec | BlinnPhongSpec | CookTorranceSpec | GgxSpec
-] = TypeAdapter(BrdfSpec)
+brdf_adapter: TypeAdapter[LambertSpec | PhongSpec | BlinnPhongSpec | CookTorranceSpec | GgxSpec] = (
+    TypeAdapter(BrdfSpec)
+)
 __all__ = [
     "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LambertSpec", "PhongSpec",
     "Positive", "brdf_adapter",

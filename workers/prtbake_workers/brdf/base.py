@@ -34,7 +34,7 @@ class Brdf(Protocol):
     ) -> Float64[F64, "... channels"]:
         """Evaluate in 1/sr, without any cosine; 0 where either direction is not above the horizon.
 
-        Leading axes broadcast.
+        Leading axes, at least one, broadcast.
         """
         ...
 

@@ -18,6 +18,10 @@ DEFAULT_ENERGY_LOST = 0.01
 CONSTANT_TOLERANCE = 1e-12
 """Relative spread below which a BRDF counts as constant: rounding of the diffuse models."""
 
+GRID_TOLERANCE = 0.1
+"""Relative change of the squared norm on a finer grid above which the note warns; on 28 x 112 it is
+0.02 for Cook-Torrance m 0.2, 0.08 for Phong 200, 0.26 for m 0.1."""
+
 
 def factorise(
     brdf: Brdf,
@@ -76,6 +80,7 @@ def factorise(
     left, values, right = _decompose(blocks, grid)
     spectrum = Spectrum.from_blocks(values)
     n_units, note = _choose_units(spectrum, n_terms, energy_lost, max_terms)
+    note = "; ".join(part for part in (note, _grid_note(brdf, grid)) if part) or None
     orders, index = spectrum.orders[:n_units], spectrum.index[:n_units]
     weight = grid.cosines * np.sqrt(grid.ring_weight)
     norm = np.sqrt(norm_of_order(orders))
@@ -156,6 +161,28 @@ def _constant(
         note=f"a constant BRDF needs 1 term, not {n_terms}" if needless else None,
         is_constant_phi=True,
         brdf=brdf,
+    )
+
+
+def _squared_norm(brdf: Brdf, grid: HemisphereGrid) -> float:
+    """Squared norm of the BRDF with the weight cos_i^2 cos_o^2, by the grid's quadrature."""
+    blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
+    weight = grid.cosines**2 * grid.ring_weight
+    orders = np.arange(len(blocks), dtype=np.int32)
+    energy = np.einsum("mioc,mioc,i,o->m", blocks, blocks, weight, weight, optimize=True)
+    return float(np.sum(energy / norm_of_order(orders)))
+
+
+def _grid_note(brdf: Brdf, grid: HemisphereGrid) -> str | None:
+    """Say so where a grid twice as fine sees another norm: the lobe falls between the nodes."""
+    ratio = _squared_norm(brdf, grid) / _squared_norm(
+        brdf, HemisphereGrid(2 * grid.n_theta, 2 * grid.n_phi)
+    )
+    if abs(ratio - 1.0) <= GRID_TOLERANCE:
+        return None
+    return (
+        f"the grid of {grid.n_theta} x {grid.n_phi} does not resolve the lobe (squared norm "
+        f"{ratio:.2f} of that on a grid twice as fine): the energy lost is rough"
     )
 
 
