@@ -7,11 +7,12 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from prtbake_storage.contract.jobs import JobState
-from prtbake_storage.contract.resources import Resource, ResourceKind
+from prtbake_storage.contract.resources import Resource, ResourceKind, ResourcePage
 from prtbake_storage.errors import NotFound
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.models import JobRow, ResourceRow
+from prtbake_storage.records.pages import decode_cursor, encode_cursor
 
 CONTEXT_KEY = "resource_id"
 """A job whose context has this key writes its outcome to that resource as well."""
@@ -80,6 +81,34 @@ class Resources:
         query = query.order_by(ResourceRow.created.desc(), ResourceRow.id.desc()).limit(limit)
         with self._database.read() as session:
             return [to_resource(row) for row in session.scalars(query)]
+
+    def page(
+        self,
+        *,
+        project: str | None = None,
+        kind: ResourceKind | None = None,
+        cursor: str | None = None,
+        limit: int = 20,
+    ) -> ResourcePage:
+        """List resources, newest first, ``limit`` a page."""
+        query = sa.select(ResourceRow)
+        if project is not None:
+            query = query.where(ResourceRow.project == project)
+        if kind is not None:
+            query = query.where(ResourceRow.kind == kind)
+        if cursor is not None:
+            created, resource_id = decode_cursor(cursor)
+            query = query.where(
+                sa.or_(
+                    ResourceRow.created < created,
+                    sa.and_(ResourceRow.created == created, ResourceRow.id < resource_id),
+                )
+            )
+        query = query.order_by(ResourceRow.created.desc(), ResourceRow.id.desc()).limit(limit + 1)
+        with self._database.read() as session:
+            rows = session.scalars(query).all()
+        more = rows[limit:] and encode_cursor(rows[limit - 1].created, rows[limit - 1].id)
+        return ResourcePage(items=[to_resource(row) for row in rows[:limit]], next=more or None)
 
     def ready(self, resource_id: str, *, canonical: str, understood: dict[str, Any]) -> None:
         """Record what was understood; a resource parsed again may turn from refused to ready."""
