@@ -170,7 +170,7 @@ def _drop_unreferenced(raw: RawMesh, report: MeshReport) -> tuple[F64, I64, F64 
     report.unreferenced_vertices = n - len(used)
     uv = None
     if raw.uv is not None:
-        missing: B8 = ~np.isfinite(raw.uv[used]).all(axis=1)
+        missing: B8 = np.any(~np.isfinite(raw.uv[used]), axis=1)
         report.vertices_without_uv = int(np.count_nonzero(missing))
         if not missing.all():
             uv = np.where(missing[:, None], 0.0, raw.uv[used])
