@@ -179,22 +179,17 @@ def whitening(centres: F64, bandwidth: float) -> Whitening:
     cross = 0.5 * (cross + cross.T)
     values, roots, inverses = _roots([same + cross, same - cross])
     order = np.argsort(np.concatenate([first, second]))
-    return _pack(values, _join(*roots, order), _join(*inverses, order))
+    return _pack(values, _join(roots, order), _join(inverses, order))
 
 
 def _antipodal_pairs(points: F64) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """Indices of one centre of each antipodal pair and of its opposite, or None."""
-    # sorted by the first coordinate that tells a centre from its opposite, pairs meet
-    sign = np.sign(np.round(points, 9))
-    leading = sign[np.arange(len(points)), np.argmax(sign != 0.0, axis=1)]
-    first, second = np.flatnonzero(leading > 0.0), np.flatnonzero(leading < 0.0)
-    if len(first) != len(second) or len(first) + len(second) != len(points):
+    """Index one centre of each antipodal pair, and its opposite; None if any lacks one."""
+    opposite = np.argmin(points @ points.T, axis=1)
+    index = np.arange(len(points))
+    if np.abs(points + points[opposite]).max() > 1e-12 or np.any(opposite[opposite] != index):
         return None
-    first = first[np.lexsort(np.round(points[first], 9).T)]
-    second = second[np.lexsort(np.round(-points[second], 9).T)]
-    if np.abs(points[first] + points[second]).max(initial=0.0) > 1e-12:
-        return None
-    return first, second
+    first = np.flatnonzero(index < opposite)
+    return first, opposite[first]
 
 
 def _roots(blocks: list[F64]) -> tuple[F64, list[F64], list[F64]]:
@@ -211,8 +206,9 @@ def _roots(blocks: list[F64]) -> tuple[F64, list[F64], list[F64]]:
     return values, roots, inverses
 
 
-def _join(even: F64, odd: F64, order: NDArray[np.intp]) -> F64:
+def _join(even_odd: list[F64], order: NDArray[np.intp]) -> F64:
     """Put the blocks of even and odd functions back in the order of the centres."""
+    even, odd = even_odd
     same, cross = 0.5 * (even + odd), 0.5 * (even - odd)
     return np.block([[same, cross], [cross, same]])[np.ix_(order, order)]
 
