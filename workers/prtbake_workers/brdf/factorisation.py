@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -169,7 +169,7 @@ class Factorisation:
         }
 
     @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], *, brdf: Brdf | None = None) -> Self:
+    def from_tables(cls, tables: Mapping[str, Any], *, brdf: Brdf | None = None) -> "Factorisation":
         """Rebuild from `tables`; with the BRDF given the exact extension works again.
 
         Raises

@@ -1,7 +1,6 @@
 """Singular values by azimuthal order: the spectrum, and how many terms an error asks for."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -38,7 +37,7 @@ class Spectrum:
     usable: int
 
     @classmethod
-    def from_blocks(cls, values: Float64[F64, "orders per_order"]) -> Self:
+    def from_blocks(cls, values: Float64[F64, "orders per_order"]) -> "Spectrum":
         """Sort the singular values of the blocks of orders 0 to the last."""
         n_orders, per_order = values.shape
         orders = np.repeat(np.arange(n_orders, dtype=np.int32), per_order)
