@@ -1,0 +1,203 @@
+"""The numpy decode against dense tensors, closed forms and turned scenes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prtbake_storage.decode.asset import Asset, LightFit, Part
+from prtbake_storage.decode.relight import (
+    cluster_matrices,
+    relight,
+    rotation_matrix,
+    shade,
+    vertex_radiance,
+    whitened_light,
+)
+from prtbake_storage.decode.srbf import gaussian, whitening
+from prtbake_storage.decode.view_map import hemi_octahedral, lookup
+
+
+def unit(rng: np.random.Generator, n: int) -> np.ndarray:
+    vectors = rng.normal(size=(n, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def fibonacci(n: int) -> np.ndarray:
+    """Even directions, each standing for 4 pi / n steradians."""
+    i = np.arange(n) + 0.5
+    z = 1 - 2 * i / n
+    angle = np.pi * (1 + 5**0.5) * i
+    return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], 1)
+
+
+def smooth_light(rng: np.random.Generator, n: int = 5) -> LightFit:
+    return LightFit(
+        centres=unit(rng, n), bandwidths=rng.uniform(1.0, 6.0, n), coefficients=rng.random((n, 3))
+    )
+
+
+def sphere_asset(normals: np.ndarray) -> Asset:
+    """Unshadowed Lambertian points: whitened transfer in full, as CPCA with one empty component."""
+    centres, bandwidth = fibonacci(200), 16.0
+    directions = fibonacci(6000)
+    cosine = np.maximum(normals @ directions.T, 0.0) / np.pi * (4 * np.pi / len(directions))
+    overlap = cosine @ gaussian(directions @ centres.T, bandwidth)
+    transfer = (overlap @ whitening(centres, bandwidth).inv_sqrt_gram).astype(np.float32)
+    n = len(normals)
+    part = Part(
+        name="object", vertex_range=(0, n), material={"model": "lambert"}, method="cpca",
+        labels=np.arange(n, dtype=np.int32), weights=np.zeros((n, 1), np.float32), means=transfer,
+        components=np.zeros((n, 1, 200), np.float32), ranks=np.ones((n, 3), np.int32),
+        albedo=np.array([0.5], np.float32),
+    )  # fmt: skip
+    return Asset(
+        positions=normals.astype(np.float32), faces=np.zeros((1, 3), np.int32),
+        normals=normals.astype(np.float32), uv=None, parts=(part,), centres=centres,
+        bandwidth=bandwidth,
+    )  # fmt: skip
+
+
+def irradiance_over_pi(normals: np.ndarray, light: LightFit, rotation: np.ndarray) -> np.ndarray:
+    """The same by quadrature of the light itself: L'(d) = L(R^T d)."""
+    directions = fibonacci(20_000)
+    kernel = gaussian((directions @ rotation) @ light.centres.T, light.bandwidths)
+    radiance = kernel @ light.coefficients
+    cosine = np.maximum(normals @ directions.T, 0.0)
+    return cosine @ radiance * 4 / len(directions)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.0, 90.0, 0.0), (33.0, -70.0, 121.0)])
+def test_a_lambertian_sphere_reflects_its_irradiance(
+    rng: np.random.Generator, angles: tuple[float, float, float]
+) -> None:
+    normals, light = unit(rng, 40), smooth_light(rng)
+    asset = sphere_asset(normals)
+    rotation = rotation_matrix(angles)
+    (found,) = relight(asset, whitened_light(asset, light, rotation))
+    expected = irradiance_over_pi(normals, light, rotation)
+    # 200 smooth SRBFs leave up to 1e-3 of a clamped cosine out of such a light
+    tolerance = 3e-3 * expected.max()
+    np.testing.assert_allclose(found[:, 0], expected, atol=tolerance)
+    wrong = irradiance_over_pi(normals, light, rotation_matrix((0.0, 20.0, 0.0)) @ rotation)
+    assert np.abs(found[:, 0] - wrong).max() > 3 * tolerance
+
+
+def test_turning_the_light_is_turning_the_sphere_back(rng: np.random.Generator) -> None:
+    normals, light = unit(rng, 40), smooth_light(rng)
+    rotation = rotation_matrix((20.0, 50.0, -30.0))
+    still, turned = sphere_asset(normals), sphere_asset(normals @ rotation)  # rows R^T n
+    (by_light,) = relight(still, whitened_light(still, light, rotation))
+    (by_asset,) = relight(turned, whitened_light(turned, light))
+    tolerance = 3e-3 * by_light.max()  # the basis itself does not turn, see above
+    np.testing.assert_allclose(by_light, by_asset, atol=tolerance)
+    (backwards,) = relight(still, whitened_light(still, light, rotation.T))
+    assert np.abs(backwards - by_asset).max() > 3 * tolerance
+
+
+def test_rotations_turn_about_x_then_y_then_z() -> None:
+    x, y, z = np.eye(3)
+    np.testing.assert_allclose(rotation_matrix((0, 0, 90)) @ x, y, atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix((90, 0, 0)) @ y, z, atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix((0, 90, 0)) @ z, x, atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix((90, 90, 0)) @ y, x, atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix((0, 90, 90)) @ z, y, atol=1e-15)
+
+
+def dense_transfer(part: Part, vertex: int) -> np.ndarray:
+    """T_x (terms, coeffs) by [Tsai2006] eq. (18), written out."""
+    cluster = part.labels[vertex]
+    dual, bases = part.dual_bases, part.light_bases
+    assert dual is not None
+    assert bases is not None
+    core = (dual[cluster].T.astype(np.float64) @ part.weights[vertex]).reshape(part.n_view, -1)
+    return part.view_basis @ core @ bases[cluster].T
+
+
+def test_cta_equals_the_dense_tensor(asset: Asset, rng: np.random.Generator) -> None:
+    part = asset.parts[0]
+    light = rng.normal(size=(asset.n_coeffs, 3))
+    found = vertex_radiance(part, cluster_matrices(part, light))
+    expected = np.stack(
+        [
+            np.linalg.lstsq(part.view_basis, dense_transfer(part, v) @ light)[0]
+            for v in range(part.n_vertices)
+        ]
+    )
+    # float32 sums of products of order 10
+    np.testing.assert_allclose(found, expected, atol=3e-5 * np.abs(expected).max())
+    swapped = replace(part, labels=(part.labels + 1) % part.n_clusters)
+    other = vertex_radiance(swapped, cluster_matrices(swapped, light))
+    assert np.abs(other - expected).max() > 0.1 * np.abs(expected).max()
+
+
+def test_cpca_equals_mean_plus_components(asset: Asset, rng: np.random.Generator) -> None:
+    part = asset.parts[1]
+    assert part.means is not None
+    assert part.components is not None
+    light = rng.normal(size=(asset.n_coeffs, 3))
+    found = vertex_radiance(part, cluster_matrices(part, light))
+    transfer = part.means[part.labels] + np.einsum(
+        "vp,vpc->vc", part.weights, part.components[part.labels]
+    )
+    expected = transfer @ light
+    np.testing.assert_allclose(found[:, 0], expected, atol=3e-5 * np.abs(expected).max())
+
+
+def facing(asset: Asset) -> Asset:
+    """Give every triangle one normal a corner that agrees with its winding."""
+    a, b, c = (asset.positions[asset.faces[:, i]].astype(np.float64) for i in range(3))
+    up = np.cross(b - a, c - a)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    normals = asset.normals.astype(np.float64)
+    for corner in range(3):
+        at = asset.faces[:, corner]
+        normals[at] *= np.sign(np.einsum("ni,ni->n", normals[at], up))[:, None]
+    return replace(asset, normals=normals.astype(np.float32))
+
+
+def test_colours_of_corners_are_mixed_each_in_its_own_frame(
+    asset: Asset, rng: np.random.Generator
+) -> None:
+    asset = facing(asset)
+    radiances = relight(asset, rng.normal(size=(asset.n_coeffs, 3)))
+    part, radiance = asset.parts[0], radiances[0]
+    assert part.view_texture is not None
+    assert part.frames is not None
+    triangle = 3
+    corners = asset.faces[triangle]
+    a, b, c = asset.positions[corners].astype(np.float64)
+    wo = np.cross(b - a, c - a)
+    wo /= np.linalg.norm(wo)
+    weights = np.array([0.2, 0.5, 0.3])
+    expected = np.zeros(3)
+    for corner, weight in zip(corners, weights, strict=True):
+        uv = hemi_octahedral((part.frames[corner] @ wo)[None])
+        phi = lookup(part.view_texture, uv)[0]
+        expected += weight * (phi * radiance[corner]).sum(axis=0)
+    query = (np.array([triangle, -1, triangle]), np.tile(weights, (3, 1)), np.array([wo, wo, -wo]))
+    found = shade(asset, radiances, *query)
+    # float32 throughout
+    np.testing.assert_allclose(found[0], expected, atol=1e-5 * np.abs(expected).max())
+    assert (found[1:] == 0).all()
+    mixed = np.einsum("c,cij->ij", weights, part.frames[corners].astype(np.float64))
+    phi = lookup(part.view_texture, hemi_octahedral((mixed @ wo)[None]))[0]
+    one_frame = (phi * np.einsum("c,crx->rx", weights, radiance[corners])).sum(axis=0)
+    assert np.abs(one_frame - expected).max() > 0.01 * np.abs(expected).max()
+
+
+def test_albedo_and_texture_multiply_at_the_pixel(asset: Asset, rng: np.random.Generator) -> None:
+    asset = facing(asset)
+    radiances = relight(asset, rng.normal(size=(asset.n_coeffs, 3)))
+    triangle = len(asset.faces) - 1
+    corners = asset.faces[triangle]
+    a, b, c = asset.positions[corners].astype(np.float64)
+    wo = np.cross(b - a, c - a)
+    query = (np.array([triangle]), np.array([[0.2, 0.5, 0.3]]), wo[None] / np.linalg.norm(wo))
+    plain = replace(asset, parts=(asset.parts[0], replace(asset.parts[1], albedo_texture=None)))
+    white = np.full((2, 2, 3), [0.5, 1.0, 0.25], np.float32)
+    tinted = replace(asset, parts=(asset.parts[0], replace(asset.parts[1], albedo_texture=white)))
+    base, found = shade(plain, radiances, *query), shade(tinted, radiances, *query)
+    np.testing.assert_allclose(found, base * [0.5, 1.0, 0.25], rtol=1e-6)
+    local = corners - asset.parts[1].vertex_range[0]
+    np.testing.assert_allclose(base[0], 0.7 * (query[1][0] @ radiances[1][local, 0]), rtol=1e-5)
