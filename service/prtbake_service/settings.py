@@ -32,6 +32,8 @@ class ServiceSettings(BaseSettings):
         Longest ``?wait=``; how often a waiting request looks; silence between events.
     reconcile_every
         How often submissions and engine are brought into line.
+    worker_dead_after
+        Silence after which a worker is not counted as alive any more.
     """
 
     model_config = SettingsConfigDict(env_prefix="PRTBAKE_", extra="ignore", frozen=True)
@@ -39,7 +41,7 @@ class ServiceSettings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = DEFAULT_PORT
     fd: int | None = None
-    data_dir: Path = Path(".prtbake")
+    data_dir: Path = Path("prtbake-data")
     database_url: str | None = None
     blob_url: str | None = None
     api_key: SecretStr | None = None
@@ -50,6 +52,7 @@ class ServiceSettings(BaseSettings):
     poll_every: timedelta = timedelta(milliseconds=250)
     heartbeat_every: timedelta = timedelta(seconds=15)
     reconcile_every: timedelta = timedelta(seconds=10)
+    worker_dead_after: timedelta = timedelta(seconds=30)
     log_json: bool = True
 
     @property

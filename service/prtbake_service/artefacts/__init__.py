@@ -1,0 +1,1 @@
+"""Files of finished jobs on their way out."""

@@ -1,0 +1,79 @@
+"""What the endpoints stand on: records, blobs and queue, opened once a process."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from prtbake_service.health.metrics import Metrics
+from prtbake_service.settings import ServiceSettings
+from prtbake_storage.blobs import BlobStore, open_store
+from prtbake_storage.queue.engine import JobQueue
+from prtbake_storage.records import (
+    Database,
+    Events,
+    Jobs,
+    Keys,
+    Resources,
+    Uploads,
+    Workers,
+    create_database,
+)
+
+
+@dataclass(frozen=True)
+class Backend:
+    """The service's view of the storage."""
+
+    settings: ServiceSettings
+    database: Database
+    jobs: Jobs
+    events: Events
+    resources: Resources
+    uploads: Uploads
+    workers: Workers
+    keys: Keys
+    blobs: BlobStore
+    queue: JobQueue
+    metrics: Metrics
+
+    @classmethod
+    def open(cls, settings: ServiceSettings, metrics: Metrics) -> "Backend":
+        """Open everything; the database is brought up to date first."""
+        database = create_database(settings.database)
+        return cls(
+            settings=settings,
+            database=database,
+            jobs=Jobs(database),
+            events=Events(database),
+            resources=Resources(database),
+            uploads=Uploads(database),
+            workers=Workers(database),
+            keys=Keys(database),
+            blobs=open_store(settings.blobs, owner="service"),
+            queue=JobQueue(settings.database),
+            metrics=metrics,
+        )
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.queue.close()
+        self.database.dispose()
+
+    def workers_alive(self) -> int:
+        """Count the workers whose heart beat lately."""
+        limit_s = self.settings.worker_dead_after.total_seconds()
+        return sum(
+            worker.state == "up" and worker.age_s <= limit_s for worker in self.workers.all()
+        )
+
+
+def backend_of(request: Request) -> Backend:
+    """Return the backend of the application that a request came to."""
+    backend = request.app.state.backend
+    if not isinstance(backend, Backend):
+        raise TypeError("the application has not started")
+    return backend
+
+
+BackendDep = Annotated[Backend, Depends(backend_of)]

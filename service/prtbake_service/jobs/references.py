@@ -1,0 +1,165 @@
+"""From the names in a request to what they stand for, checked at the time of submission."""
+
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from prtbake_service.backend import Backend
+from prtbake_service.errors_http import MalformedRequest, validation_entries
+from prtbake_storage.contract.jobs import (
+    AssetRequest,
+    BakeRequest,
+    CompressRequest,
+    FitLightRequest,
+    JobState,
+    RenderRequest,
+    ValidateRequest,
+)
+from prtbake_storage.contract.resources import Resource
+from prtbake_storage.contract.settings import (
+    BakeSettings,
+    CompressSettings,
+    FitLightSettings,
+    RenderSettings,
+    ValidateSettings,
+)
+from prtbake_storage.errors import Conflict, NotFound
+
+AnyRequest = (
+    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+)
+Context = dict[str, Any]
+
+_STAGES: dict[str, type[BaseModel]] = {
+    "bake": BakeSettings,
+    "compress": CompressSettings,
+    "fit_light": FitLightSettings,
+    "render": RenderSettings,
+    "validation": ValidateSettings,
+}
+
+
+class Resolver:
+    """Resolve the references of one project's requests.
+
+    Every method raises `NotFound` for what the project does not have and `Conflict` for what is
+    there but cannot be used (yet), with the pointer to the field that named it.
+    """
+
+    def __init__(self, backend: Backend, project: str) -> None:
+        self._backend = backend
+        self._project = project
+
+    def resolve(self, request: AnyRequest) -> Context:
+        """Return what the workers need beside the request.
+
+        Returns
+        -------
+        dict
+            ``mesh`` and ``environment``: id, canonical digest, understood; ``brdf``: id, canonical
+            digest and spec (the first two None for a BRDF given in the request); ``artefacts``:
+            digest, job and name by role; ``albedo_texture``: digest or None.
+        """
+        match request:
+            case BakeRequest():
+                return self._scene(request)
+            case AssetRequest():
+                check_overrides(request)
+                return self._scene(request) | {
+                    "environment": self._resource("environment", request.environment)
+                }
+            case CompressRequest():
+                return {"artefacts": self._artefacts(transfer=request.transfer)}
+            case FitLightRequest():
+                return {"environment": self._resource("environment", request.environment)}
+            case RenderRequest():
+                return {"artefacts": self._artefacts(asset=request.asset, light=request.light)}
+            case ValidateRequest():
+                return {
+                    "artefacts": self._artefacts(
+                        asset=request.asset, transfer=request.transfer, light=request.light
+                    ),
+                    "environment": self._resource("environment", request.environment),
+                }
+
+    def _scene(self, request: BakeRequest | AssetRequest) -> Context:
+        mesh = self._resource("mesh", request.mesh)
+        if isinstance(request.brdf, str):
+            found = self._resource("brdf", request.brdf)
+            brdf = found | {"spec": found["understood"].get("spec", found["understood"])}
+        else:
+            spec = request.brdf.model_dump(mode="json")
+            brdf = {"id": None, "canonical": None, "understood": {}, "spec": spec}
+        if request.albedo_texture is not None:
+            self.require_upload(request.albedo_texture, "/albedo_texture")
+        return {"mesh": mesh, "brdf": brdf, "albedo_texture": request.albedo_texture}
+
+    def _resource(self, kind: str, resource_id: str) -> Context:
+        pointer = f"/{kind}"
+        if not resource_id.startswith(f"{kind}-"):
+            raise NotFound(f"{resource_id} does not name a {kind}", pointer=pointer)
+        try:
+            resource = self._backend.resources.get(resource_id, project=self._project)
+        except NotFound as error:
+            raise NotFound(f"there is no {kind} {resource_id}", pointer=pointer) from error
+        return _usable(resource, pointer)
+
+    def _artefacts(self, **references: str) -> dict[str, Context]:
+        return {role: self._artefact(role, ref) for role, ref in references.items()}
+
+    def _artefact(self, role: str, reference: str) -> Context:
+        pointer = f"/{role}"
+        job_id, _, name = reference.partition("/")
+        try:
+            job = self._backend.jobs.get(job_id, project=self._project)
+        except NotFound as error:
+            raise NotFound(f"there is no job {job_id}", pointer=pointer) from error
+        if job.state is not JobState.succeeded:
+            raise Conflict(
+                f"job {job_id} is {job.state}: its artefacts can be used once it has succeeded",
+                pointer=pointer,
+            )
+        for artefact in job.artefacts:
+            if artefact.name == name:
+                return {"digest": artefact.sha256, "job": job_id, "name": name}
+        names = ", ".join(artefact.name for artefact in job.artefacts) or "none"
+        raise NotFound(f"job {job_id} has no artefact {name} (it has: {names})", pointer=pointer)
+
+    def require_upload(self, digest: str, pointer: str) -> None:
+        """Check that the project has uploaded a blob."""
+        try:
+            self._backend.uploads.get(digest, project=self._project)
+        except NotFound as error:
+            raise NotFound(f"{digest} has not been uploaded", pointer=pointer) from error
+
+
+def _usable(resource: Resource, pointer: str) -> Context:
+    if resource.state == "parsing":
+        raise Conflict(f"{resource.id} is still being parsed: submit again soon", pointer=pointer)
+    if resource.state == "refused":
+        why = (resource.problem or {}).get("detail", "see its problem")
+        raise Conflict(f"{resource.id} was refused: {why}", pointer=pointer)
+    return {
+        "id": resource.id,
+        "canonical": resource.canonical,
+        "understood": resource.understood,
+    }
+
+
+def check_overrides(request: AssetRequest) -> None:
+    """Check the settings that override a quality's, stage by stage.
+
+    Raises
+    ------
+    MalformedRequest
+        Naming each field that the stage does not have or whose value it cannot take.
+    """
+    entries: list[dict[str, Any]] = []
+    for stage, model in _STAGES.items():
+        given = getattr(request.settings, stage)
+        try:
+            model.model_validate(given)
+        except ValidationError as error:
+            entries += validation_entries(error.errors(), given, prefix=f"/settings/{stage}")
+    if entries:
+        raise MalformedRequest(entries)

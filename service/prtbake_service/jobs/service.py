@@ -1,0 +1,149 @@
+"""What can be done with jobs."""
+
+import hashlib
+import logging
+import secrets
+from typing import Any
+
+from prtbake_service.backend import Backend
+from prtbake_service.errors_http import ProblemError
+from prtbake_service.jobs.references import AnyRequest, Resolver
+from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.contract.jobs import Estimate, Job, JobState, job_request_adapter
+from prtbake_storage.errors import Conflict, InputError, PrtError
+from prtbake_storage.records import NewJob, referenced_blobs
+
+log = logging.getLogger(__name__)
+STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
+PARSE_PREFIX = "parse-"
+ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
+
+
+class JobService:
+    """The jobs of one project."""
+
+    def __init__(self, backend: Backend, project: str) -> None:
+        self._backend = backend
+        self._project = project
+        self._resolver = Resolver(backend, project)
+
+    def get(self, job_id: str) -> Job:
+        """Look a job up."""
+        return self._backend.jobs.get(job_id, project=self._project)
+
+    def submit(
+        self,
+        request: AnyRequest,
+        *,
+        job_id: str | None = None,
+        idempotency_key: str | None = None,
+        retry_of: str | None = None,
+    ) -> tuple[Job, bool]:
+        """Make a job, or find the one that the same id or key made; tell whether it is new."""
+        if job_id is not None and job_id.startswith(PARSE_PREFIX):
+            raise InputError(f"job ids that start with {PARSE_PREFIX} are the service's own")
+        body = request.model_dump(mode="json")
+        return self._create(
+            NewJob(
+                id=job_id or new_id(request.kind),
+                kind=request.kind,
+                request=body,
+                context=self._resolver.resolve(request),
+                project=self._project,
+                label=request.label,
+                priority=request.priority,
+                timeout_s=request.timeout_s,
+                retry_of=retry_of,
+                idempotency_key=idempotency_key,
+                body_digest=_digest({"request": body, "retry_of": retry_of}),
+            )
+        )
+
+    def estimate(self, request: AnyRequest) -> Job:
+        """Start the quick job that plans and predicts."""
+        job, _ = self._create(
+            NewJob(
+                id=new_id("estimate"),
+                kind="estimate",
+                request={"request": request.model_dump(mode="json")},
+                context=self._resolver.resolve(request),
+                project=self._project,
+                internal=True,
+                quick=True,
+                priority=ESTIMATE_PRIORITY,
+            )
+        )
+        return job
+
+    def retry(self, job_id: str, *, idempotency_key: str | None = None) -> tuple[Job, bool]:
+        """Make a new job from one that ended badly; finished tiles are found again."""
+        old = self.get(job_id)
+        if not old.state.terminal or old.state is JobState.succeeded:
+            raise Conflict(
+                f"job {job_id} is {old.state}: only failed, canceled and expired jobs"
+                " can be tried again"
+            )
+        request = job_request_adapter.validate_python(old.request)
+        return self.submit(request, idempotency_key=idempotency_key, retry_of=job_id)
+
+    def cancel(self, job_id: str) -> Job:
+        """Ask for a job to stop."""
+        job = self._backend.jobs.request_cancel(job_id, project=self._project)
+        if job.state is JobState.canceled:
+            # a worker that runs it sees the row; one that is only queued need not even be taken
+            try:
+                self._backend.queue.cancel([job_id])
+            except Exception:
+                log.exception("job.cancel.engine", extra={"job_id": job_id})
+        return job
+
+    def delete(self, job_id: str) -> None:
+        """Remove a job that has ended, and those of its artefacts that nothing else refers to."""
+        digests = {artefact.sha256 for artefact in self.get(job_id).artefacts}
+        self._backend.jobs.delete(job_id, project=self._project)
+        for digest in digests - referenced_blobs(self._backend.database):
+            self._backend.blobs.delete(digest)
+        try:
+            self._backend.queue.forget(job_id)
+        except Exception:
+            log.exception("job.forget.engine", extra={"job_id": job_id})
+
+    def _create(self, new: NewJob) -> tuple[Job, bool]:
+        job, is_new = self._backend.jobs.create(new)
+        if is_new:
+            enqueue(self._backend, new)
+        return job, is_new
+
+
+def enqueue(backend: Backend, new: NewJob) -> None:
+    """Give a committed job to the engine; if that fails, the reconciler does it later."""
+    try:
+        backend.queue.submit(new.id, quick=new.quick, priority=new.priority)
+    except Exception:
+        log.exception("job.enqueue.failed", extra={"job_id": new.id})
+    else:
+        log.info("job.submitted", extra={"job_id": new.id, "kind": new.kind})
+
+
+def estimate_from(job: Job) -> Estimate:
+    """Read the estimate that a quick job came to, or raise what it failed with."""
+    if job.state is JobState.succeeded:
+        return Estimate.model_validate(job.result)
+    raise failure_of(job)
+
+
+def failure_of(job: Job) -> PrtError:
+    """Return the error of a quick job that did not succeed."""
+    if job.error is None:
+        return ProblemError(500, "internal", f"the quick job {job.id} was {job.state}")
+    status = STATUS_OF_KIND[job.error.kind]
+    return ProblemError(status, job.error.code, job.error.detail, pointer=job.error.pointer)
+
+
+def new_id(kind: str) -> str:
+    """Return a fresh id that says what the job is."""
+    return f"{kind}-{secrets.token_hex(8)}"
+
+
+def _digest(value: dict[str, Any]) -> str:
+    return f"sha256:{hashlib.sha256(canonical_json(value).encode()).hexdigest()}"

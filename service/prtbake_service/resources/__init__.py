@@ -1,0 +1,1 @@
+"""Meshes, BRDFs and environments."""

@@ -1,0 +1,106 @@
+"""Registering inputs: a resource row and the quick job that parses it."""
+
+import hashlib
+import secrets
+
+from prtbake_service.backend import Backend
+from prtbake_service.errors_http import ProblemError
+from prtbake_service.jobs.references import Resolver
+from prtbake_service.jobs.service import PARSE_PREFIX, STATUS_OF_KIND, enqueue
+from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.contract.resources import (
+    BrdfRegistration,
+    EnvironmentRegistration,
+    MeshRegistration,
+    Resource,
+    ResourceKind,
+    ResourcePage,
+)
+from prtbake_storage.errors import NotFound, PrtError
+from prtbake_storage.records import NewJob
+from prtbake_storage.records.resources import CONTEXT_KEY
+
+Registration = MeshRegistration | BrdfRegistration | EnvironmentRegistration
+PARSE_PRIORITY = 10  # a person waits for it; lower is sooner
+
+
+class ResourceService:
+    """The meshes, BRDFs or environments of one project."""
+
+    def __init__(self, backend: Backend, project: str, kind: ResourceKind) -> None:
+        self._backend = backend
+        self._project = project
+        self._kind: ResourceKind = kind
+
+    def get(self, resource_id: str) -> Resource:
+        """Look a resource up."""
+        resource = self._backend.resources.get(resource_id, project=self._project)
+        if resource.kind != self._kind:
+            raise NotFound(f"there is no {self._kind} {resource_id}")
+        return resource
+
+    def page(self, cursor: str | None, limit: int) -> ResourcePage:
+        """List resources, newest first."""
+        return self._backend.resources.page(
+            project=self._project, kind=self._kind, cursor=cursor, limit=limit
+        )
+
+    def register(self, registration: Registration) -> tuple[Resource, bool]:
+        """Make a resource and start to parse it; tell whether it is new.
+
+        The same registration gives the same resource.  One that was refused is parsed again, since
+        the parser may have learned since.
+        """
+        if registration.blob is not None:
+            Resolver(self._backend, self._project).require_upload(registration.blob, "/blob")
+        request = registration.model_dump(mode="json")
+        resource, is_new = self._backend.resources.create(
+            self._id(request),
+            self._kind,
+            request,
+            project=self._project,
+            label=registration.label,
+        )
+        if resource.state == "refused":
+            self._backend.resources.parse_again(resource.id)
+        if resource.state != "ready":
+            self._parse(resource.id, request)
+            resource = self.get(resource.id)
+        return resource, is_new
+
+    def _id(self, request: dict[str, object]) -> str:
+        # what a resource is called does not change what it is
+        named = {"project": self._project} | {k: v for k, v in request.items() if k != "label"}
+        digest = hashlib.sha256(canonical_json(named).encode()).hexdigest()
+        return f"{self._kind}-{digest[:16]}"
+
+    def _parse(self, resource_id: str, request: dict[str, object]) -> None:
+        # one job for a registration that comes twice, another once that one has ended
+        first = f"{PARSE_PREFIX}{resource_id}"
+        for job_id in (first, f"{first}-{secrets.token_hex(6)}"):
+            new = NewJob(
+                id=job_id,
+                kind="register",
+                request={"resource_kind": self._kind, "registration": request},
+                context={CONTEXT_KEY: resource_id},
+                project=self._project,
+                internal=True,
+                quick=True,
+                priority=PARSE_PRIORITY,
+            )
+            job, is_new = self._backend.jobs.create(new)
+            if is_new:
+                enqueue(self._backend, new)
+            if not job.state.terminal:
+                return
+
+
+def refusal_of(resource: Resource) -> PrtError:
+    """Return why a resource cannot be used, as the error of the request that made it."""
+    problem = resource.problem or {}
+    return ProblemError(
+        STATUS_OF_KIND.get(problem.get("kind", "input"), 400),
+        str(problem.get("code", "refused")),
+        str(problem.get("detail", "it could not be parsed")),
+        pointer=problem.get("pointer"),
+    )
