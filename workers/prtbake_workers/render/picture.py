@@ -1,0 +1,93 @@
+"""What a renderer gives, and the rule by which every backend decides what a pixel sees."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.render.camera import Pinhole
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """The triangle at every pixel centre (-1 for none) and where on it."""
+
+    triangles: Int32[I32, "height width"]
+    barycentrics: Float32[F32, "height width 3"]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Linear radiance, pre-multiplied by ``coverage``, the share of a pixel that the asset fills."""
+
+    radiance: Float32[F32, "height width 3"]
+    coverage: Float32[F32, "height width"]
+
+
+@dataclass(frozen=True)
+class RendererInfo:
+    """Which backend draws, on what, and why that one."""
+
+    backend: str
+    device: str
+    version: str
+    reason: str
+
+
+class Renderer(Protocol):
+    """Draws one asset; the light is set apart from the view, as it costs more."""
+
+    @property
+    def info(self) -> RendererInfo:
+        """What draws."""
+
+    def set_light(self, light: Float64[F64, "coeffs 3"]) -> None:
+        """Relight with whitened coefficients: the only step that costs work a cluster."""
+
+    def visibility(self, view: Pinhole, width: int, height: int) -> Visibility:
+        """Return the triangle behind every pixel centre."""
+
+    def render(self, view: Pinhole, width: int, height: int, samples: int = 1) -> Picture:
+        """Draw with ``samples`` x ``samples`` points a pixel."""
+
+    def release(self) -> None:
+        """Give everything back."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def reduce_samples(picture: Picture, samples: int) -> Picture:
+    """Average blocks of ``samples`` x ``samples`` pixels."""
+    if samples == 1:
+        return picture
+    height, width = (size // samples for size in picture.coverage.shape)
+    blocks = (height, samples, width, samples)
+    return Picture(
+        picture.radiance.reshape(*blocks, 3).mean(axis=(1, 3), dtype=np.float32),
+        picture.coverage.reshape(blocks).mean(axis=(1, 3), dtype=np.float32),
+    )
+
+
+def over_background(
+    picture: Picture,
+    view: Pinhole,
+    lookup: Callable[[F64], F64],
+    rotation: Float64[F64, "3 3"] | None = None,
+) -> Picture:
+    """Put the environment behind a picture.
+
+    ``lookup`` gives the radiance (n, 3) of unit directions (n, 3); a light turned by R is
+    L'(d) = L(R^T d).
+    """
+    height, width = picture.coverage.shape
+    directions = view.directions(width, height)
+    if rotation is not None:
+        directions = directions @ rotation
+    behind = np.asarray(lookup(directions), np.float32).reshape(height, width, 3)
+    rest = 1.0 - picture.coverage
+    radiance: F32 = picture.radiance + rest[:, :, None] * behind
+    return Picture(radiance, np.ones_like(picture.coverage))
