@@ -38,9 +38,7 @@ class JobState(StrEnum):
         return self in TERMINAL
 
 
-TERMINAL = frozenset(
-    {JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired}
-)
+TERMINAL = frozenset({JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired})
 
 JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset"]
 ResourceId = Annotated[str, Field(pattern=r"^(mesh|brdf|environment)-[0-9a-f]{16}$")]
@@ -116,7 +114,12 @@ class AssetRequest(_SceneRequest):
 
 
 JobRequest = Annotated[
-    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest,
+    BakeRequest
+    | CompressRequest
+    | FitLightRequest
+    | RenderRequest
+    | ValidateRequest
+    | AssetRequest,
     Field(discriminator="kind"),
 ]
 job_request_adapter: TypeAdapter[

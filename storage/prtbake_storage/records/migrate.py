@@ -18,13 +18,13 @@ def migrate(engine: sa.Engine) -> None:
     config = Config()
     config.set_main_option("script_location", _MIGRATIONS.replace("%", "%%"))
     config.set_main_option("path_separator", "os")
-    with _alone(engine), engine.begin() as connection:
+    with migration_lock(engine), engine.begin() as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 
 
 @contextmanager
-def _alone(engine: sa.Engine) -> Iterator[None]:
+def migration_lock(engine: sa.Engine) -> Iterator[None]:
     """Hold the migration lock: a file beside SQLite's, an advisory lock on PostgreSQL."""
     if engine.dialect.name == "sqlite":
         with Path(f"{engine.url.database}.migrating").open("w") as file:

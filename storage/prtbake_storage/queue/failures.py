@@ -1,0 +1,41 @@
+"""How tasks end without a result."""
+
+import errno
+
+from prtbake_storage.contract.jobs import JobError
+from prtbake_storage.errors import PrtError
+
+SHUTDOWN = "shutdown"
+"""Reason of a `TaskStopped` that means this worker, and not the job."""
+
+
+class TaskFailed(Exception):
+    """A task reported an error; ``retryable`` says whether another attempt may help."""
+
+    def __init__(self, error: JobError, *, retryable: bool = False) -> None:
+        super().__init__(error.detail)
+        self.error = error
+        self.retryable = retryable
+
+
+class TaskStopped(Exception):
+    """A task was stopped from outside before its end."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def describe(error: BaseException) -> JobError:
+    """Say what went wrong: our errors by their kind, the system's by what ran out."""
+    if isinstance(error, PrtError):
+        kind = error.kind if error.kind in ("input", "resource") else "internal"
+        return JobError.model_validate(
+            {"kind": kind, "code": error.code, "detail": error.detail, "pointer": error.pointer}
+        )
+    if isinstance(error, MemoryError):
+        detail = str(error) or "the task ran out of memory"
+        return JobError(kind="resource", code="out-of-memory", detail=detail)
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return JobError(kind="resource", code="disk-full", detail=str(error))
+    return JobError(kind="internal", code="internal", detail=f"{type(error).__name__}: {error}")

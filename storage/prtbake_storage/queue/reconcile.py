@@ -1,0 +1,109 @@
+"""Bring our rows and the engine's workflows together.
+
+A submission commits twice: our row, then the engine's.  A process that dies in between leaves a
+queued job that no worker will ever see; one whose workflow the engine gave up leaves a row that
+runs for ever.  Both are found by comparing the two, at start and every few seconds, by anybody.
+"""
+
+import logging
+import threading
+from datetime import UTC, datetime, timedelta
+
+from prtbake_storage.contract.jobs import JobError, JobState
+from prtbake_storage.queue.engine import ENDED, JobQueue
+from prtbake_storage.records.database import Database
+from prtbake_storage.records.runs import Runs, Stop, Unfinished
+from prtbake_storage.records.workers import Workers
+
+_log = logging.getLogger(__name__)
+
+PRUNE_EVERY_S = 3600.0
+
+
+def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float = 30.0) -> int:
+    """Submit jobs that have no workflow and close jobs whose workflow has ended.
+
+    Returns
+    -------
+    int
+        How many jobs were mended.
+    """
+    runs = Runs(database)
+    jobs = runs.unfinished()
+    statuses = queue.statuses([job.job_id for job in jobs])
+    mended = 0
+    for job in jobs:
+        status = statuses.get(job.job_id)
+        if status is None:
+            queue.submit(job.job_id, quick=job.quick, priority=job.priority)
+            _log.info("job.resubmitted", extra={"job_id": job.job_id})
+            mended += 1
+        elif status in ENDED:
+            # the row may have been closed since we read it: then `close` does nothing
+            mended += runs.close(job.job_id, _verdict(job, status), cause="engine")
+    waiting = [job for job in jobs if job.state == JobState.cancel_requested]
+    if waiting and not _anybody_lives(database, dead_after_s):
+        # nobody is left to stop anything, and nothing runs: the wish is fulfilled
+        for job in waiting:
+            queue.cancel([job.job_id])
+            mended += runs.close(job.job_id, Stop(JobState.canceled))
+    return mended
+
+
+class Reconciler:
+    """Reconciles in a thread of its own, at once and then every ``every_s`` seconds."""
+
+    def __init__(
+        self,
+        database: Database,
+        queue: JobQueue,
+        *,
+        every_s: float = 10.0,
+        dead_after_s: float = 30.0,
+        retention_s: float = 7 * 86400.0,
+    ) -> None:
+        self._database, self._queue = database, queue
+        self._every_s, self._dead_after_s = every_s, dead_after_s
+        self._retention = timedelta(seconds=retention_s)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="reconciler", daemon=True)
+
+    def start(self) -> "Reconciler":
+        """Begin."""
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """End, after the round under way."""
+        self._stop.set()
+        self._thread.join(timeout=30.0)
+
+    def _run(self) -> None:
+        since_prune = PRUNE_EVERY_S
+        while True:
+            try:
+                reconcile_once(self._database, self._queue, dead_after_s=self._dead_after_s)
+                if since_prune >= PRUNE_EVERY_S:
+                    since_prune = 0.0
+                    self._queue.prune((datetime.now(UTC) - self._retention).isoformat())
+            except Exception as error:  # noqa: BLE001 - the next round may find the database again
+                _log.warning("reconcile.failed", extra={"error": str(error)[:200]})
+            if self._stop.wait(self._every_s):
+                return
+            since_prune += self._every_s
+
+
+def _verdict(job: Unfinished, status: str) -> Stop:
+    if status == "CANCELLED":
+        return Stop(JobState.canceled)
+    if status == "MAX_RECOVERY_ATTEMPTS_EXCEEDED":
+        detail = "too many workers were lost while they ran this job: it is given up"
+        return Stop(JobState.failed, JobError(kind="resource", code="poison-task", detail=detail))
+    detail = f"the engine ended this job as {status} while it was {job.state}"
+    return Stop(JobState.failed, JobError(kind="internal", code="engine", detail=detail))
+
+
+def _anybody_lives(database: Database, dead_after_s: float) -> bool:
+    return any(
+        worker.state == "up" and worker.age_s < dead_after_s for worker in Workers(database).all()
+    )

@@ -1,0 +1,153 @@
+"""The model of a job: stages of tasks.
+
+A job kind is a list of `Stage`; a stage is a list of `Task` that may run at once on any worker, and
+the next stage's tasks are a pure function of the results so far.  A task is a pure function of its
+arguments, named by the digest of both, and its result is remembered under that name: it is never
+run again, whichever worker, retry or recovery asks.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+from prtbake_storage.blobs.base import canonical_json
+
+CODE_VERSION = "1"
+"""Part of every task's name: raise it when the same arguments give other results than before."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A unit of work, run in a child process of its own.
+
+    Attributes
+    ----------
+    function
+        ``module:name`` of ``f(args, context) -> dict``.
+    args
+        JSON; with ``function`` and ``threads`` all that the result depends on.
+    label
+        For people, in logs.
+    threads
+        BLAS and OpenMP threads.  They are part of the name, because one thread or two changes the
+        last bits of a matrix product.
+    memory_bytes, cpu_seconds
+        Limits of the child process (address space, CPU time), for parsers of untrusted files.
+    """
+
+    function: str
+    args: dict[str, Any]
+    label: str = ""
+    threads: int = 1
+    memory_bytes: int | None = None
+    cpu_seconds: int | None = None
+
+    @cached_property
+    def key(self) -> str:
+        """64 hex digits that name the result."""
+        identity = {
+            "function": self.function,
+            "args": self.args,
+            "threads": self.threads,
+            "code": CODE_VERSION,
+        }
+        return hashlib.sha256(canonical_json(identity).encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Write as JSON."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> "Task":
+        """Read back."""
+        return Task(**data)
+
+
+class Measured(NamedTuple):
+    """What a task cost when it ran; it may have been long ago, for another job."""
+
+    seconds: float
+    peak_memory_bytes: int
+
+
+class Results(Mapping[str, list[dict[str, Any]]]):
+    """Stage name -> the results of its tasks, in order; `measured` gives their costs."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, list[dict[str, Any]]] = {}
+        self._measured: dict[str, list[Measured]] = {}
+
+    def __getitem__(self, stage: str) -> list[dict[str, Any]]:
+        return self._values[stage]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def measured(self, stage: str) -> list[Measured]:
+        """Costs of a finished stage's tasks, in order."""
+        return self._measured[stage]
+
+    def add(
+        self, stage: str, values: Sequence[dict[str, Any]], measured: Sequence[Measured]
+    ) -> None:
+        """Enter a finished stage; its name must be new."""
+        if stage in self._values:
+            raise ValueError(f"two stages are called {stage!r}")
+        self._values[stage] = list(values)
+        self._measured[stage] = list(measured)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A step of a job.
+
+    Attributes
+    ----------
+    name
+        Unique in the job.
+    unit
+        What its progress counts, say "tiles".
+    weight
+        Its share of the job's progress; only the ratios matter.
+    tasks
+        From the results of earlier stages to this stage's tasks.  It must be a pure function
+        without I/O: a recovered job calls it again and must get the same list.
+    """
+
+    name: str
+    unit: str
+    weight: float
+    tasks: Callable[[Results], list[Task]]
+
+
+class ArtefactFile(NamedTuple):
+    """A file that a job leaves: its name, its media type and the blob that holds it."""
+
+    name: str
+    media_type: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a job leaves."""
+
+    result: dict[str, Any]
+    artefacts: Sequence[ArtefactFile | tuple[str, str, str]] = field(default_factory=list)
+
+
+class JobRunner(Protocol):
+    """What the engine asks of the job kinds; all of it pure and quick."""
+
+    def stages(self, kind: str, request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
+        """List the stages of a job; an `InputError` fails it before any work."""
+
+    def finish(
+        self, kind: str, request: dict[str, Any], context: dict[str, Any], results: Results
+    ) -> Finished:
+        """Turn the results of all stages into the job's result and artefacts."""

@@ -1,0 +1,72 @@
+"""Find workers that died and claims that never started, and give their work to the living."""
+
+import logging
+import threading
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.queue.engine import Engine, JobQueue
+from prtbake_storage.queue.heart import Heart
+from prtbake_storage.queue.settings import QueueSettings
+from prtbake_storage.records.workers import Workers
+
+_log = logging.getLogger(__name__)
+
+ORPHAN_AFTER_S = 15.0
+"""How long a claim may stand without a thread: a start takes milliseconds."""
+
+
+class Watchdog:
+    """One round looks at every heartbeat and at this worker's own claims."""
+
+    def __init__(
+        self,
+        *,
+        engine: Engine,
+        queue: JobQueue,
+        workers: Workers,
+        heart: Heart,
+        store: BlobStore,
+        executor_id: str,
+        settings: QueueSettings,
+    ) -> None:
+        self._engine, self._queue, self._workers = engine, queue, workers
+        self._heart, self._store = heart, store
+        self._executor_id, self._settings = executor_id, settings
+
+    def run(self, stop: threading.Event) -> None:
+        """Look around once a heartbeat until told to stop."""
+        while not stop.wait(self._settings.heartbeat_s):
+            try:
+                self.recover_dead()
+                self.reap_orphans()
+            except Exception as error:  # noqa: BLE001 - the next round may find the database again
+                _log.warning("watchdog.failed", extra={"error": str(error)[:200]})
+
+    def recover_dead(self) -> list[str]:
+        """Queue again the work of workers that said goodbye or fell silent; returns their ids."""
+        judge = self._heart.may_judge
+        dead = [
+            worker.executor_id
+            for worker in self._workers.all()
+            if worker.executor_id != self._executor_id
+            and (worker.state == "gone" or (judge and worker.age_s > self._settings.dead_after_s))
+        ]
+        if not dead:
+            return []
+        recovered = self._engine.recover(dead)
+        if recovered:
+            _log.warning("worker.lost", extra={"workers": dead, "workflows": recovered})
+        # forget a worker only when it holds nothing: work of another version waits for its own kind
+        holding = {claim.executor_id for claim in self._queue.claims(dead)}
+        gone = [executor_id for executor_id in dead if executor_id not in holding]
+        for executor_id in gone:
+            self._store.sweep_scratch(owner=executor_id)
+        self._workers.forget(gone)
+        return gone
+
+    def reap_orphans(self) -> None:
+        """Queue again what this worker claimed and never started."""
+        claims = self._queue.claims([self._executor_id])
+        for claim in self._engine.orphans(claims, after_s=ORPHAN_AFTER_S):
+            _log.warning("claim.orphaned", extra={"workflow": claim.workflow_id})
+            self._queue.hand_back(claim)
