@@ -98,6 +98,8 @@ class ValidateRequest(_Request):
 
     kind: Literal["validate"] = "validate"
     asset: ArtefactRef
+    exact: ArtefactRef | None = None
+    """The asset in 32 bits; without it compression and quantisation share a line."""
     transfer: ArtefactRef
     light: ArtefactRef
     environment: ResourceId

@@ -1,0 +1,253 @@
+"""Job kind ``bake``: plan, transport tiles, join."""
+
+from typing import Any
+
+import numpy as np
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.contract.brdf import LambertSpec
+from prtbake_storage.contract.settings import Effects, Quality, ReceiverPlane
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.schema import transfer_chunk_vertices
+from prtbake_storage.hdf5.transfer import (
+    TransferHeader,
+    TransferPart,
+    join_transfer,
+    write_transfer_tile,
+)
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs.inputs import albedo_of, load_brdf, load_mesh, load_texture, versions
+from prtbake_workers.jobs.scene_file import PlannedScene, read_scene, write_scene
+from prtbake_workers.planning.effects import decide_effects
+from prtbake_workers.planning.plan import Plan, make_plan
+from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.transport.bake import bake_block
+from prtbake_workers.transport.directions import cube_directions
+
+_MODULE = "prtbake_workers.jobs.bake"
+
+
+def stages(
+    request: dict[str, Any], context: dict[str, Any], settings: StageSettings, quality: Quality
+) -> list[Stage]:
+    """Plan the scene, bake its tiles, join them."""
+    threads = settings.bake.threads
+    plan_args = {
+        "mesh": context["mesh"]["canonical"],
+        "brdf": context["brdf"]["spec"],
+        "albedo_texture": context.get("albedo_texture"),
+        "receiver": request.get("receiver"),
+        "effects": request.get("effects", {}),
+        "settings": settings.to_dict(),
+        "quality": quality,
+        "seed": request.get("seed", 0),
+    }
+
+    def plan(_: Results) -> list[Task]:
+        return [Task(f"{_MODULE}:plan", plan_args, label="plan")]
+
+    def tiles(results: Results) -> list[Task]:
+        (planned,) = results["plan"]
+        return [
+            Task(
+                f"{_MODULE}:run_tile",
+                {"scene": planned["scene"], "part": index, "start": start, "stop": stop},
+                label=f"{part['name']} {start}-{stop}",
+                threads=threads,
+            )
+            for index, part in enumerate(planned["plan"]["parts"])
+            for start, stop in part["tiles"]
+        ]
+
+    def join(results: Results) -> list[Task]:
+        (planned,) = results["plan"]
+        done = iter(results["bake"])
+        grouped = [[next(done)["tile"] for _ in part["tiles"]] for part in planned["plan"]["parts"]]
+        return [
+            Task(f"{_MODULE}:join", {"scene": planned["scene"], "tiles": grouped}, label="join")
+        ]
+
+    return [
+        Stage("plan", "scene", 3.0, plan),
+        Stage("bake", "tiles", 40.0, tiles),
+        Stage("join", "file", 2.0, join),
+    ]
+
+
+def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
+    """Load the inputs, factorise the materials, decide effects, parts and tiles."""
+    settings = StageSettings.from_dict(args["settings"])
+    mesh, report = load_mesh(store, args["mesh"])
+    meshes, specs, names = [mesh], [args["brdf"]], ["object"]
+    if args["receiver"] is not None:
+        receiver = ReceiverPlane.model_validate(args["receiver"])
+        meshes.append(
+            receiver_plane(
+                mesh.bounds,
+                resolution=receiver.resolution,
+                extent=receiver.extent,
+                gap=receiver.gap,
+            )
+        )
+        specs.append(LambertSpec(albedo=receiver.albedo).model_dump(mode="json"))
+        names.append("receiver")
+    texture = None
+    if args["albedo_texture"] is not None:
+        _check_texture(specs[0], mesh.uv is not None)
+        texture = load_texture(store, args["albedo_texture"])
+    scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
+    factorisations = tuple(
+        factorise(
+            load_brdf(spec),
+            n_terms=settings.bake.n_terms,
+            energy_lost=settings.bake.term_energy_lost if settings.bake.n_terms is None else None,
+        )
+        for spec in specs
+    )
+    part_terms = [factorisation.n_terms for factorisation in factorisations]
+    effects = decide_effects(
+        meshes,
+        scene,
+        Accelerator(scene.positions, scene.faces),
+        part_terms=part_terms,
+        watertight=bool(report.get("watertight", False)),
+        requested=Effects.model_validate(args["effects"]),
+        seed=args["seed"],
+    )
+    notes = [factorisation.note for factorisation in factorisations if factorisation.note]
+    plan = make_plan(
+        scene,
+        names,
+        part_terms,
+        effects,
+        settings,
+        args["quality"],
+        chunk_vertices=transfer_chunk_vertices,
+        notes=[*notes, *report.get("warnings", [])],
+    )
+    header = {
+        "bake": settings.bake.model_dump(mode="json"),
+        "parts": [
+            {"name": name, "material": spec, "occluders": list(part.occluders)}
+            for name, spec, part in zip(names, specs, plan.parts, strict=True)
+        ],
+        "provenance": {
+            "inputs": {name: args[name] for name in ("mesh", "brdf", "albedo_texture", "receiver")},
+            "bake": settings.bake.model_dump(mode="json"),
+            "seed": args["seed"],
+            "versions": versions(),
+            "effects": [decision.to_dict() for decision in effects],
+            "occluders": [list(part.occluders) for part in plan.parts],
+        },
+    }
+    return PlannedScene(scene, factorisations, texture, header), plan
+
+
+def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
+    if spec["model"] != "lambert":
+        raise SettingsError(
+            "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
+            pointer="/albedo_texture",
+        )
+    if not has_uv:
+        raise SettingsError(
+            "an albedo texture needs texture coordinates, which the mesh lacks",
+            pointer="/albedo_texture",
+        )
+
+
+def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: write the planned scene."""
+    planned, plan = plan_scene(args, context.store)
+    planned.basis()  # a basis that cannot be solved fails here, before the first ray
+    path = write_scene(context.scratch / "scene.h5", planned)
+    return {
+        "scene": context.store.put_file(path, move=True),
+        "plan": plan.to_dict(),
+        "errors": {
+            part["name"]: factorisation.energy_lost
+            for part, factorisation in zip(
+                planned.header["parts"], planned.factorisations, strict=True
+            )
+        },
+        "condition": planned.basis().condition,
+    }
+
+
+def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: bake a block of vertices of one part."""
+    planned = read_scene(context.store.local_path(args["scene"]))
+    bake = planned.header["bake"]
+    directions = cube_directions(bake["cube_resolution"])
+    occluders = planned.occluders(args["part"])
+    block = bake_block(
+        planned.scene,
+        occluders,
+        (args["start"], args["stop"]),
+        factorisation=planned.factorisations[args["part"]],
+        projection=planned.basis().projection(directions.directions, directions.weights),
+        directions=directions,
+        supersample=bake["supersample"],
+        shadows=occluders is not None,
+        threads=bake["threads"],
+        progress=lambda done, total: context.progress(done, total, "vertices"),
+    )
+    path = context.scratch / "tile.h5"
+    write_transfer_tile(
+        path,
+        block.coefficients,
+        signal_energy=block.signal_energy,
+        residual_energy=block.residual_energy,
+    )
+    areas = planned.scene.areas[args["start"] : args["stop"]]
+    return {
+        "tile": context.store.put_file(path, move=True),
+        "vertices": args["stop"] - args["start"],
+        "signal": float(areas @ block.signal_energy),
+        "residual": float(areas @ block.residual_energy),
+        "counters": block.counters(),
+        "epsilon": block.epsilon,
+    }
+
+
+def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: join the tiles into ``transfer.h5``."""
+    planned = read_scene(context.store.local_path(args["scene"]))
+    scene, bake = planned.scene, planned.header["bake"]
+    parts = []
+    for index, part in enumerate(planned.header["parts"]):
+        start, stop = scene.part_ranges[index]
+        factorisation = planned.factorisations[index]
+        parts.append(
+            TransferPart(
+                name=part["name"],
+                vertex_range=(start, stop),
+                material=part["material"],
+                areas=scene.areas[start:stop],
+                n_terms=factorisation.n_terms,
+                albedo=albedo_of(part["material"]),
+                frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
+                albedo_texture=planned.albedo_texture if index == 0 else None,
+                factorisation=factorisation.tables(),
+            )
+        )
+    basis = planned.basis()
+    header = TransferHeader(
+        positions=scene.positions,
+        faces=scene.faces,
+        normals=scene.normals,
+        uv=None if scene.uv is None else np.nan_to_num(scene.uv),
+        centres=basis.centres,
+        bandwidth=basis.bandwidth,
+        parts=tuple(parts),
+        provenance=planned.header["provenance"] | {"bake": bake},
+    )
+    path = context.scratch / "transfer.h5"
+    join_transfer(path, header, [[context.store.local_path(t) for t in p] for p in args["tiles"]])
+    size = path.stat().st_size
+    return {"transfer": context.store.put_file(path, move=True), "bytes": size}

@@ -1,0 +1,216 @@
+"""Job kind ``compress``: the factors of every part, then the asset in 32 and in 16 bits."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.reconstruct import reconstruct
+from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
+from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
+from prtbake_storage.hdf5.writer import write_asset
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.arrays import F32, F64
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.view_texture import view_texture
+from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.jobs.inputs import versions
+
+_MODULE = "prtbake_workers.jobs.compress"
+READ_VERTS = 2048
+"""Vertices read at a time, so that 16-bit and 32-bit copies do not lie side by side in full."""
+VIEW_TEXTURE_RESOLUTION = 64
+
+
+def stages(
+    plan_of: Callable[[Results], tuple[str, list[dict[str, Any]]]],
+    *,
+    max_iterations: int,
+    threads: int,
+    seed: int,
+) -> list[Stage]:
+    """Compress each part in a task of its own, then write the asset.
+
+    ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
+    """
+
+    def parts(results: Results) -> list[Task]:
+        transfer, compressions = plan_of(results)
+        return [
+            Task(
+                f"{_MODULE}:compress_part",
+                {
+                    "transfer": transfer,
+                    "part": index,
+                    "compression": compression,
+                    "max_iterations": max_iterations,
+                    "seed": seed,
+                },
+                label=f"part {index}",
+                threads=threads,
+            )
+            for index, compression in enumerate(compressions)
+        ]
+
+    def assemble(results: Results) -> list[Task]:
+        transfer, _ = plan_of(results)
+        factors = [result["factors"] for result in results["compress"]]
+        return [
+            Task(f"{_MODULE}:assemble", {"transfer": transfer, "factors": factors, "seed": seed})
+        ]
+
+    return [
+        Stage("compress", "parts", 30.0, parts),
+        Stage("quantise", "asset", 2.0, assemble),
+    ]
+
+
+def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
+    """Read all whitened coefficients of a part as float32 (verts, terms, coeffs)."""
+    with open_transfer(path) as transfer:
+        own = transfer.header.parts[part]
+        n_coeffs = len(transfer.header.centres)
+        coefficients = np.zeros((own.n_vertices, own.n_terms, n_coeffs), np.float32)
+        for start in range(0, own.n_vertices, READ_VERTS):
+            stop = min(start + READ_VERTS, own.n_vertices)
+            coefficients[start:stop] = transfer.read(part, start, stop)
+    return own, coefficients
+
+
+def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: compress one part, its vertices weighted by area."""
+    part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
+    compression = args["compression"]
+    weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
+
+    def progress(fraction: float, phase: str) -> None:
+        context.progress(fraction, 1.0, phase)
+
+    arrays: dict[str, NDArray[Any]]
+    if compression["method"] == "cta":
+        cta = compress_cta(
+            coefficients,
+            compression["n_clusters"],
+            CtaRanks(*compression["ranks"]),
+            seed=args["seed"],
+            max_iterations=args["max_iterations"],
+            progress=progress,
+            vertex_weights=weights,
+        )
+        arrays = {
+            name: getattr(cta, name)
+            for name in ("view_basis", "light_bases", "dual_bases", "weights", "labels", "ranks")
+        }
+        model: Any = cta
+    else:
+        cpca = compress_cpca(
+            coefficients[:, 0],
+            compression["n_clusters"],
+            compression["n_components"],
+            method="static",
+            seed=args["seed"],
+            progress=progress,
+            vertex_weights=weights,
+        )
+        ranks = np.ones((cpca.n_clusters, 3), np.int32)
+        ranks[:, 1], ranks[:, 2] = coefficients.shape[2], cpca.ranks
+        arrays = {
+            name: getattr(cpca, name) for name in ("means", "components", "weights", "labels")
+        } | {"ranks": ranks, "view_basis": np.ones((1, 1), np.float32)}
+        model = cpca
+    header = {"method": compression["method"]}
+    path = write_bundle(context.scratch / "factors.h5", arrays, header)
+    return {
+        "factors": context.store.put_file(path, move=True),
+        "name": part.name,
+        "method": compression["method"],
+        "clusters": int(model.n_clusters),
+        "objective": [float(value) for value in model.objective],
+        "initial_energy": float(model.initial_energy),
+        "iterations": int(model.iterations),
+        "factor_bytes": int(model.nbytes),
+        "transfer_bytes": int(coefficients.nbytes),
+        "errors": {part.name: float(model.squared_error_ratio)},
+        "notes": list(model.notes),
+    }
+
+
+def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: write ``asset.h5`` (16 bits) and ``asset-float32.h5``, and measure the difference."""
+    with open_transfer(context.store.local_path(args["transfer"])) as transfer:
+        header = transfer.header
+        parts = []
+        for index, digest in enumerate(args["factors"]):
+            arrays, factors = read_bundle(context.store.local_path(digest))
+            parts.append(make_part(header.parts[index], factors["method"], arrays))
+        exact = make_asset(header, tuple(parts), seed=args["seed"], source=args["transfer"])
+        exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
+        write_asset(exact_path, exact, bits=32)
+        delivered = write_asset(path, exact, bits=16)
+        errors = {}
+        for index, (before, after) in enumerate(zip(exact.parts, delivered.parts, strict=True)):
+            signal = transfer.energies(index).signal
+            areas = header.parts[index].areas
+            errors[before.name] = quantisation_error(before, after, areas, signal)
+    size = path.stat().st_size
+    return {
+        "asset": context.store.put_file(path, move=True),
+        "exact": context.store.put_file(exact_path, move=True),
+        "bytes": size,
+        "groups": delivered.nbytes,
+        "errors": errors,
+    }
+
+
+def make_part(part: TransferPart, method: Any, arrays: dict[str, NDArray[Any]]) -> Part:
+    """Join a part's surface with its factors."""
+    texture = None
+    factorisation = Factorisation.from_tables(part.factorisation or {})
+    if not factorisation.is_constant_phi:
+        phi = view_texture(factorisation, VIEW_TEXTURE_RESOLUTION)
+        texture = np.einsum("abkc,kr->abrc", phi, arrays["view_basis"]).astype(np.float32)
+    return Part(
+        name=part.name,
+        vertex_range=part.vertex_range,
+        material=part.material,
+        method=method,
+        albedo=part.albedo,
+        albedo_texture=part.albedo_texture,
+        view_texture=texture,
+        frames=None if part.frames is None else part.frames.astype(np.float32),
+        factorisation=part.factorisation,
+        **arrays,
+    )
+
+
+def make_asset(header: TransferHeader, parts: tuple[Part, ...], *, seed: int, source: str) -> Asset:
+    """Join mesh, basis and parts."""
+    return Asset(
+        positions=header.positions.astype(np.float32),
+        faces=header.faces,
+        normals=header.normals.astype(np.float32),
+        uv=None if header.uv is None else header.uv.astype(np.float32),
+        parts=parts,
+        centres=header.centres,
+        bandwidth=header.bandwidth,
+        provenance=dict(header.provenance)
+        | {"transfer": source, "compress": {"seed": seed, "versions": versions()}},
+    )
+
+
+def quantisation_error(before: Part, after: Part, areas: F64, signal: F64) -> float:
+    """Return the squared-error ratio that 16 bits add, against the signal that was baked."""
+    total = float(areas @ signal)
+    if total == 0.0:
+        return 0.0
+    error = 0.0
+    for start in range(0, before.n_vertices, READ_VERTS):
+        verts = slice(start, min(start + READ_VERTS, before.n_vertices))
+        difference = (reconstruct(before, verts) - reconstruct(after, verts)).astype(np.float64)
+        error += float(areas[verts] @ (difference**2).sum(axis=(1, 2)))
+    return error / total

@@ -1,0 +1,95 @@
+"""The planned scene as a file: what every tile of a bake reads."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
+from prtbake_workers.arrays import F32
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_workers.geometry.scene import Scene
+
+SUBDIVISIONS = {12: 0, 42: 1, 162: 2, 642: 3, 2562: 4, 10242: 5}
+_SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_face")
+
+
+@dataclass(frozen=True)
+class PlannedScene:
+    """Geometry, factorised materials and the plan's header.
+
+    ``header`` holds ``bake`` (settings), ``parts`` (name, material, occluders, vertex range),
+    ``provenance``.
+    """
+
+    scene: Scene
+    factorisations: tuple[Factorisation, ...]
+    albedo_texture: F32 | None
+    header: Mapping[str, Any]
+
+    def basis(self) -> SrbfBasis:
+        """Make the SRBF basis of the bake settings."""
+        return make_basis(self.header["bake"])
+
+    def occluders(self, part: int) -> Accelerator | None:
+        """Make the accelerator of the triangles that may block light on its way to a part."""
+        return occluder_accelerator(self.scene, self.header["parts"][part]["occluders"])
+
+
+def make_basis(bake: Mapping[str, Any]) -> SrbfBasis:
+    """Make the basis that bake settings name."""
+    return SrbfBasis(icosphere(SUBDIVISIONS[bake["n_centres"]]), bake["bandwidth"])
+
+
+def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:
+    """Make an accelerator of some parts of a scene; None of none."""
+    if not parts:
+        return None
+    chosen = np.isin(scene.part_of_face, parts)
+    return Accelerator(scene.positions, scene.faces[chosen])
+
+
+def write_scene(path: Path, planned: PlannedScene) -> Path:
+    """Write a planned scene."""
+    scene = planned.scene
+    arrays: dict[str, NDArray[Any]] = {name: getattr(scene, name) for name in _SCENE_ARRAYS}
+    if scene.uv is not None:
+        arrays["uv"] = scene.uv
+    if planned.albedo_texture is not None:
+        arrays["albedo_texture"] = planned.albedo_texture
+    tables: list[dict[str, Any]] = []
+    for index, factorisation in enumerate(planned.factorisations):
+        plain = {}
+        for name, value in factorisation.tables().items():
+            if isinstance(value, np.ndarray):
+                arrays[f"factorisation{index}/{name}"] = value
+            else:
+                plain[name] = value
+        tables.append(plain)
+    header = dict(planned.header) | {
+        "tables": tables,
+        "part_ranges": [list(pair) for pair in scene.part_ranges],
+    }
+    return write_bundle(path, arrays, header)
+
+
+def read_scene(path: Path) -> PlannedScene:
+    """Read a planned scene."""
+    arrays, header = read_bundle(path)
+    scene = Scene(
+        **{name: arrays[name] for name in _SCENE_ARRAYS},
+        uv=arrays.get("uv"),
+        part_ranges=tuple((int(a), int(b)) for a, b in header["part_ranges"]),
+    )
+    factorisations = []
+    for index, plain in enumerate(header["tables"]):
+        prefix = f"factorisation{index}/"
+        own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
+        factorisations.append(Factorisation.from_tables(own | plain))
+    return PlannedScene(scene, tuple(factorisations), arrays.get("albedo_texture"), header)

@@ -1,0 +1,190 @@
+"""Job kind ``validate``: the chain of pictures of every camera, metrics, and the pictures."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.contract.settings import Camera, ValidateSettings
+from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.resources import read_light
+from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.arrays import F32, I64
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.view_texture import view_texture
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.geometry.mesh import vertex_areas
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs.compress import VIEW_TEXTURE_RESOLUTION
+from prtbake_workers.jobs.inputs import load_brdf, load_environment
+from prtbake_workers.jobs.scene_file import occluder_accelerator
+from prtbake_workers.render.images import auto_exposure, difference_image, png_bytes, side_by_side
+from prtbake_workers.render.metrics import flip, psnr, rel_mse, relative_l2
+from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.validation.chain import ValidatedView, validate_camera
+from prtbake_workers.validation.scene import ValidationPart, ValidationScene
+
+_MODULE = "prtbake_workers.jobs.validate"
+
+
+def stages(
+    inputs_of: Callable[[Results], dict[str, Any]],
+    environment: str,
+    settings: ValidateSettings,
+    seed: int,
+) -> list[Stage]:
+    """One task a camera; ``inputs_of`` gives the digests of transfer, exact, asset and light."""
+    dumped = settings.model_dump(mode="json")
+
+    def cameras(results: Results) -> list[Task]:
+        return [
+            Task(
+                f"{_MODULE}:validate",
+                {
+                    **inputs_of(results),
+                    "environment": environment,
+                    "settings": dumped,
+                    "camera": camera.model_dump(mode="json"),
+                    "seed": seed + 1000 * index,
+                },
+                label=camera.name,
+            )
+            for index, camera in enumerate(settings.cameras)
+        ]
+
+    return [Stage("validate", "cameras", 15.0, cameras)]
+
+
+def validate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: hold one camera's pictures against the reference."""
+    settings = ValidateSettings.model_validate(args["settings"])
+    camera = Camera.model_validate(args["camera"])
+    validation = load_validation(args, context.store)
+    rotations = [rotation_matrix(angles) for angles in settings.rotations_deg]
+    views = validate_camera(
+        validation,
+        camera,
+        rotations,
+        settings,
+        seed=args["seed"],
+        progress=lambda fraction: context.progress(fraction, 1.0, camera.name),
+    )
+    reports = []
+    for index, view in enumerate(views):
+        name = camera.name if len(views) == 1 else f"{camera.name}-light{index}"
+        reports.append(_report(name, view, context.store))
+    return {"views": reports}
+
+
+def _report(name: str, view: ValidatedView, store: BlobStore) -> dict[str, Any]:
+    exposure = auto_exposure(view.reference)
+    reference, delivered = view.reference, view.delivered
+    ratio = psnr(reference, delivered)
+    return {
+        "picture": name,
+        "hits": view.n_hits,
+        "budget": view.budget.to_dict(),
+        "metrics": {
+            "l2": relative_l2(reference, delivered),
+            "rel_mse": rel_mse(reference, delivered),
+            "psnr": ratio if np.isfinite(ratio) else None,
+            "flip": flip(reference, delivered),
+        },
+        "exposure": exposure,
+        "pictures": {
+            f"{name}.png": store.put_bytes(
+                png_bytes(
+                    side_by_side(
+                        [reference, delivered, difference_image(reference, delivered)], exposure
+                    )
+                )
+            ),
+        },
+    }
+
+
+def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
+    """Load everything that a chain needs, from the artefacts alone."""
+    path = store.local_path(args["transfer"])
+    with open_transfer(path) as transfer:
+        header = transfer.header
+    scene = scene_of(header)
+    bake = header.provenance["bake"]
+
+    def read(part: int, vertices: I64) -> F32:
+        start = header.parts[part].vertex_range[0]
+        return read_vertices(store, args["transfer"], part, vertices - start)
+
+    return ValidationScene(
+        scene=scene,
+        accelerator=Accelerator(scene.positions, scene.faces),
+        parts=tuple(
+            _validation_part(part, scene, header.provenance["occluders"][index])
+            for index, part in enumerate(header.parts)
+        ),
+        basis=SrbfBasis(header.centres, header.bandwidth),
+        directions=cube_directions(bake["cube_resolution"]),
+        supersample=bake["supersample"],
+        transfer=read,
+        exact=read_asset(store.local_path(args["exact"])),
+        delivered=read_asset(store.local_path(args["asset"])),
+        environment=load_environment(store, args["environment"]),
+        light=read_light(store.local_path(args["light"])),
+    )
+
+
+def read_vertices(store: BlobStore, digest: str, part: int, vertices: I64) -> F32:
+    """Read the coefficients of some vertices of a part, in runs of what lies close together."""
+    with open_transfer(store.local_path(digest)) as transfer:
+        header = transfer.header
+        shape = (len(vertices), header.parts[part].n_terms, len(header.centres))
+        result = np.zeros(shape, np.float32)
+        for first in range(0, len(vertices), 256):
+            chosen = vertices[first : first + 256]
+            if not len(chosen):
+                continue
+            start = int(chosen[0])
+            block = transfer.read(part, start, int(chosen[-1]) + 1)
+            result[first : first + 256] = block[chosen - start]
+    return result
+
+
+def scene_of(header: TransferHeader) -> Scene:
+    """Rebuild the scene that was baked."""
+    ranges = tuple(part.vertex_range for part in header.parts)
+    frames = tangent_frames(header.normals)
+    for part in header.parts:
+        if part.frames is not None:
+            frames[slice(*part.vertex_range)] = part.frames
+    starts = np.array([start for start, _ in ranges])
+    owner = np.searchsorted(starts, header.faces[:, 0], side="right") - 1
+    return Scene(
+        positions=header.positions,
+        faces=header.faces,
+        normals=header.normals,
+        frames=frames,
+        areas=vertex_areas(header.positions, header.faces),
+        uv=header.uv,
+        part_ranges=ranges,
+        part_of_face=owner.astype(np.int32),
+    )
+
+
+def _validation_part(part: TransferPart, scene: Scene, occluders: list[int]) -> ValidationPart:
+    brdf = load_brdf(dict(part.material))
+    factorisation = Factorisation.from_tables(part.factorisation or {}, brdf=brdf)
+    texture = None
+    if not factorisation.is_constant_phi:
+        texture = view_texture(factorisation, VIEW_TEXTURE_RESOLUTION)
+    return ValidationPart(
+        brdf=brdf,
+        factorisation=factorisation,
+        view_texture=texture,
+        occluders=occluder_accelerator(scene, occluders),
+    )

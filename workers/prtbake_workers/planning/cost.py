@@ -1,0 +1,103 @@
+"""A first cost model: rays, flops and bytes of every stage over rates of a plain 2-core machine.
+
+The rates are order-of-magnitude figures measured once on two shared cores; the report of every
+job gives what its stages really took, so a reader can see how far the model was off.
+"""
+
+from dataclasses import dataclass
+
+from prtbake_storage.contract.settings import BakeSettings, FitLightSettings, ValidateSettings
+from prtbake_workers.planning.presets import PartCompression
+
+RAYS_PER_SECOND = 5.0e6
+FLOPS_PER_SECOND = 4.0e10
+TRANSFER_SAMPLES_PER_SECOND = 1.5e8
+"""Products psi * V * cos built for the projection, one term of one direction each."""
+GZIP_BYTES_PER_SECOND = 3.0e7
+CHILD_START_S = 1.5
+TILE_SECONDS = 8.0
+"""A tile is the unit of resumption: long against its start, short against a human's patience."""
+TILE_BYTES = 400_000_000
+
+
+@dataclass(frozen=True)
+class PartCost:
+    """Predicted cost of one part."""
+
+    bake_seconds: float
+    compress_seconds: float
+    transfer_bytes: int
+    asset_bytes: int
+    compress_memory_bytes: int
+
+
+def bake_seconds_per_vertex(settings: BakeSettings, *, n_terms: int, shadows: bool) -> float:
+    """Predict the seconds one thread spends on one vertex (half of the directions count)."""
+    n_dirs = 3 * settings.cube_resolution**2
+    rays = n_dirs * settings.supersample**2 if shadows else 0
+    flops = 2.0 * n_dirs * n_terms * settings.n_centres * 1.2
+    return (
+        rays / RAYS_PER_SECOND
+        + flops / FLOPS_PER_SECOND
+        + n_dirs * n_terms / TRANSFER_SAMPLES_PER_SECOND
+    )
+
+
+def tile_vertices(settings: BakeSettings, *, n_terms: int, shadows: bool, chunk: int) -> int:
+    """Choose vertices a tile: about TILE_SECONDS of work, bounded memory, whole chunks."""
+    if settings.tile_vertices is not None:
+        wanted = float(settings.tile_vertices)
+    else:
+        seconds = bake_seconds_per_vertex(settings, n_terms=n_terms, shadows=shadows)
+        wanted = min(TILE_SECONDS / seconds, TILE_BYTES / (4 * n_terms * settings.n_centres), 16384)
+    return chunk * max(1, int(wanted // chunk))
+
+
+def part_cost(
+    bake: BakeSettings,
+    compression: PartCompression,
+    *,
+    n_verts: int,
+    n_terms: int,
+    shadows: bool,
+    iterations: int,
+) -> PartCost:
+    """Predict seconds, bytes and memory of baking and compressing one part."""
+    n_coeffs = bake.n_centres
+    values = n_verts * n_terms * n_coeffs
+    view, light, vert = compression.ranks
+    clusters = compression.n_clusters
+    if compression.method == "cta":
+        classify = 2.0 * n_verts * (view * n_coeffs) * (clusters * vert)
+        model = 8.0 * n_verts * view * n_coeffs * (view * light + n_coeffs / 2)
+        floats = (
+            n_terms * view + clusters * (n_coeffs * light + vert * view * light) + n_verts * vert
+        )
+        memory = 4 * values + 8 * n_verts * view * n_coeffs
+    else:
+        rank = compression.n_components
+        classify = 2.0 * n_verts * n_terms * n_coeffs * clusters
+        model = 2.0 * n_verts * (n_terms * n_coeffs) ** 2 / iterations
+        floats = clusters * n_terms * n_coeffs * (rank + 1) + n_verts * rank
+        memory = 12 * values
+    return PartCost(
+        bake_seconds=n_verts * bake_seconds_per_vertex(bake, n_terms=n_terms, shadows=shadows),
+        compress_seconds=iterations * (classify + model) / (2 * FLOPS_PER_SECOND),
+        transfer_bytes=2 * values,
+        asset_bytes=2 * floats,
+        compress_memory_bytes=memory,
+    )
+
+
+def fit_seconds(settings: FitLightSettings) -> float:
+    """Predict the seconds of a scattered fit: texels x lobes x iterations."""
+    return 2.0 + 0.05 * settings.n_lobes * settings.max_iterations
+
+
+def validate_seconds(settings: ValidateSettings, *, n_terms: int, n_dirs: int) -> float:
+    """Predict the seconds of all chains of pictures."""
+    pixels = 0.5 * settings.width * settings.height
+    samples = settings.passes * settings.samples
+    one = pixels * samples * (4.0 / RAYS_PER_SECOND + 3.0 * n_terms / 2.0e7)
+    cells = pixels * n_dirs * (1.0 / RAYS_PER_SECOND + n_terms / TRANSFER_SAMPLES_PER_SECOND)
+    return len(settings.cameras) * (len(settings.rotations_deg) * one + cells)

@@ -1,0 +1,206 @@
+"""Which effects a scene calls for, and why.
+
+Every decision carries its reason, the evidence it rests on, and the error predicted if it were
+the other way: the share of squared cosine-weighted visibility energy that the effect changes,
+estimated from a sparse probe of rays.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from prtbake_storage.contract.settings import Effects, Switch
+from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.scene import Scene
+
+PROBE_VERTICES = 512
+PROBE_RAYS = 64
+CONVEX_TOLERANCE = 1e-6
+"""Depth below the convex hull, in diagonals, that still counts as on it (float32 positions)."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One effect: taken or left, by whom, and what the other way would have cost.
+
+    ``predicted_error`` is a squared-error ratio in radiance norm, None where no estimate exists.
+    """
+
+    effect: str
+    taken: bool
+    forced: bool
+    reason: str
+    evidence: dict[str, Any]
+    predicted_error_otherwise: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the decision as JSON."""
+        return asdict(self)
+
+
+def convexity_defect(mesh: Mesh) -> float:
+    """Deepest vertex below the convex hull, in bounding-box diagonals; inf where no hull exists."""
+    try:
+        hull = ConvexHull(mesh.positions)
+    except (QhullError, ValueError):
+        return float("inf")
+    equations = np.unique(np.round(hull.equations, 12), axis=0)
+    deepest = 0.0
+    for block in np.array_split(mesh.positions, max(1, mesh.n_vertices // 512)):
+        distance = block @ equations[:, :3].T + equations[:, 3]
+        deepest = max(deepest, float((-distance.max(axis=1)).max(initial=0.0)))
+    return deepest / mesh.diagonal
+
+
+def probe_occlusion(
+    scene: Scene,
+    accelerator: Accelerator,
+    vertex_range: tuple[int, int],
+    *,
+    seed: int,
+) -> tuple[float, float, int]:
+    """Estimate what shadows take from a part.
+
+    Returns the squared-error ratio of leaving all shadows out, the share of occluded rays, and
+    the ray count.  Rays are cosine-distributed; a ray's squared transfer is cos^2, so under this
+    density the ratio is the cosine-weighted mean of the occluded rays.
+    """
+    rng = np.random.default_rng(seed)
+    start, stop = vertex_range
+    count = min(PROBE_VERTICES, stop - start)
+    areas = np.maximum(scene.areas[start:stop], 0.0)
+    share = areas / areas.sum() if areas.sum() > 0 else None
+    chosen = start + rng.choice(stop - start, size=count, replace=False, p=_usable(share, count))
+    local, cosine = _cosine_directions(rng, count)
+    frames = tangent_frames(scene.normals[chosen])
+    world = np.einsum("vij,vri->vrj", frames, local).reshape(-1, 3).astype(np.float32)
+    epsilon = ray_epsilon(scene.bounds)
+    origins = offset_origins(scene.positions[chosen], scene.normals[chosen], epsilon)
+    blocked = accelerator.occluded(np.repeat(origins, PROBE_RAYS, axis=0), world)
+    weight = cosine.reshape(-1)
+    lost = float((weight * blocked).sum())
+    kept = float((weight * ~blocked).sum())
+    ratio = lost / kept if kept > 0 else (1.0 if lost > 0 else 0.0)
+    return ratio, float(blocked.mean()), int(blocked.size)
+
+
+def _usable(share: F64 | None, count: int) -> F64 | None:
+    """Drop the weights where fewer vertices have area than are to be drawn."""
+    return share if share is not None and np.count_nonzero(share) >= count else None
+
+
+def _cosine_directions(
+    rng: np.random.Generator, count: int
+) -> tuple[Float64[F64, "verts rays 3"], Float64[F64, "verts rays"]]:
+    u, v = rng.random((2, count, PROBE_RAYS))
+    radius, angle = np.sqrt(u), 2.0 * np.pi * v
+    cosine = np.sqrt(1.0 - u)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), cosine], axis=-1), cosine
+
+
+def decide_effects(
+    meshes: list[Mesh],
+    scene: Scene,
+    accelerator: Accelerator,
+    *,
+    part_terms: list[int],
+    watertight: bool,
+    requested: Effects,
+    seed: int,
+) -> list[Decision]:
+    """Decide effect by effect for an object (part 0) and, where there is one, its receiver."""
+    decisions = [
+        _self_shadowing(meshes[0], scene, watertight, requested.self_shadowing, seed),
+        _receiver_shadows(scene, accelerator, requested.receiver_shadows, seed),
+        _view_dependence(part_terms, requested.view_dependence),
+        Decision(
+            effect="tangent_frames",
+            taken=max(part_terms) > 1,
+            forced=False,
+            reason="parts with more than one term turn with their frame"
+            if max(part_terms) > 1
+            else "one term has no azimuth",
+            evidence={"terms": part_terms},
+        ),
+    ]
+    decisions += [
+        Decision(
+            effect=name,
+            taken=False,
+            forced=False,
+            reason="not simulated by this version: reference and asset both leave it out, so the "
+            "error budget does not hold it",
+            evidence={},
+        )
+        for name in ("interreflection", "colour_bleeding", "subsurface_scattering")
+    ]
+    return decisions
+
+
+def _settle(switch: Switch, called_for: bool) -> tuple[bool, bool]:
+    """Return (taken, forced)."""
+    return (called_for, False) if switch == "auto" else (switch == "on", True)
+
+
+def _self_shadowing(
+    mesh: Mesh, scene: Scene, watertight: bool, switch: Switch, seed: int
+) -> Decision:
+    defect = convexity_defect(mesh)
+    convex = watertight and defect <= CONVEX_TOLERANCE
+    own = Accelerator(mesh.positions, mesh.faces)
+    ratio, share, rays = probe_occlusion(scene, own, scene.part_ranges[0], seed=seed)
+    taken, forced = _settle(switch, not convex)
+    reason = (
+        "a closed convex mesh cannot shadow itself: no ray is needed"
+        if convex
+        else f"the mesh is not closed and convex; {100 * share:.1f} % of probe rays are blocked"
+    )
+    return Decision(
+        effect="self_shadowing",
+        taken=taken,
+        forced=forced,
+        reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
+        evidence={
+            "convexity_defect_diagonals": defect if np.isfinite(defect) else None,
+            "watertight": watertight,
+            "probe_rays": rays,
+            "blocked_share": share,
+        },
+        predicted_error_otherwise=ratio if taken or forced else 0.0,
+    )
+
+
+def _receiver_shadows(
+    scene: Scene, accelerator: Accelerator, switch: Switch, seed: int
+) -> Decision:
+    if len(scene.part_ranges) < 2:
+        return Decision("receiver_shadows", False, switch != "auto", "there is no receiver", {})
+    ratio, share, rays = probe_occlusion(scene, accelerator, scene.part_ranges[1], seed=seed + 1)
+    taken, forced = _settle(switch, share > 0.0)
+    reason = f"{100 * share:.1f} % of the probe rays from the receiver are blocked"
+    return Decision(
+        effect="receiver_shadows",
+        taken=taken,
+        forced=forced,
+        reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
+        evidence={"probe_rays": rays, "blocked_share": share},
+        predicted_error_otherwise=ratio,
+    )
+
+
+def _view_dependence(part_terms: list[int], switch: Switch) -> Decision:
+    glossy = max(part_terms) > 1
+    forced = switch != "auto"
+    return Decision(
+        effect="view_dependence",
+        taken=glossy,
+        forced=forced,
+        reason=f"terms a part: {part_terms}"
+        + ("" if glossy else "; a Lambertian surface looks the same from everywhere"),
+        evidence={"terms": part_terms},
+    )

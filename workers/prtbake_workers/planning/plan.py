@@ -1,0 +1,140 @@
+"""The plan of a job: parts, effects, tiles, and what they are expected to cost."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from prtbake_storage.contract.settings import Quality
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.cost import (
+    CHILD_START_S,
+    PartCost,
+    fit_seconds,
+    part_cost,
+    tile_vertices,
+    validate_seconds,
+)
+from prtbake_workers.planning.effects import Decision
+from prtbake_workers.planning.presets import PartCompression, StageSettings, resolve_compression
+
+
+@dataclass(frozen=True)
+class PartPlan:
+    """What is done to one part of the scene.
+
+    ``occluders`` lists the parts that may block its light; none means that no ray is traced.
+    """
+
+    name: str
+    vertex_range: tuple[int, int]
+    n_terms: int
+    occluders: tuple[int, ...]
+    compression: PartCompression
+    tiles: tuple[tuple[int, int], ...]
+    cost: PartCost
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that was decided before the first ray of the bake."""
+
+    parts: tuple[PartPlan, ...]
+    effects: tuple[Decision, ...]
+    seconds: dict[str, float]
+    artefact_bytes: dict[str, int]
+    peak_memory_bytes: int
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the plan as JSON."""
+        return asdict(self)
+
+
+def occluders_of(part: int, n_parts: int, effects: list[Decision]) -> tuple[int, ...]:
+    """List the parts whose triangles may block light on its way to ``part``."""
+    taken = {decision.effect: decision.taken for decision in effects}
+    own = (0,) if part == 0 and taken["self_shadowing"] else ()
+    others = tuple(i for i in range(n_parts) if i != part) if taken["receiver_shadows"] else ()
+    return tuple(sorted(own + others))
+
+
+def make_plan(
+    scene: Scene,
+    names: list[str],
+    part_terms: list[int],
+    effects: list[Decision],
+    settings: StageSettings,
+    quality: Quality,
+    *,
+    chunk_vertices: Callable[[int, int], int],
+    notes: list[str],
+) -> Plan:
+    """Lay out parts and tiles and predict their cost.
+
+    ``chunk_vertices(n_terms, n_coeffs)`` gives the vertices that tiles must hold multiples of.
+    """
+    parts = []
+    for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
+        start, stop = scene.part_ranges[index]
+        occluders = occluders_of(index, len(names), effects)
+        if settings.compress.method == "cpca" and n_terms > 1:
+            raise SettingsError(
+                f"clustered PCA takes one term, {name} has {n_terms}: use cta",
+                pointer="/settings/compress/method",
+            )
+        compression = resolve_compression(
+            settings.compress,
+            quality,
+            n_verts=stop - start,
+            n_terms=n_terms,
+            n_coeffs=settings.bake.n_centres,
+        )
+        size = tile_vertices(
+            settings.bake,
+            n_terms=n_terms,
+            shadows=bool(occluders),
+            chunk=chunk_vertices(n_terms, settings.bake.n_centres),
+        )
+        parts.append(
+            PartPlan(
+                name=name,
+                vertex_range=(start, stop),
+                n_terms=n_terms,
+                occluders=occluders,
+                compression=compression,
+                tiles=tuple((a, min(a + size, stop)) for a in range(start, stop, size)),
+                cost=part_cost(
+                    settings.bake,
+                    compression,
+                    n_verts=stop - start,
+                    n_terms=n_terms,
+                    shadows=bool(occluders),
+                    iterations=settings.compress.max_iterations,
+                ),
+            )
+        )
+    tiles = sum(len(part.tiles) for part in parts)
+    seconds = {
+        "plan": CHILD_START_S + 2.0,
+        "bake": (tiles * CHILD_START_S + sum(part.cost.bake_seconds for part in parts)) / 2,
+        "compress": CHILD_START_S * 2 + sum(part.cost.compress_seconds for part in parts),
+        "fit_light": fit_seconds(settings.fit_light),
+        "render": 5.0,
+        "validate": validate_seconds(
+            settings.validation,
+            n_terms=max(part_terms),
+            n_dirs=3 * settings.bake.cube_resolution**2,
+        ),
+    }
+    return Plan(
+        parts=tuple(parts),
+        effects=tuple(effects),
+        seconds=seconds,
+        artefact_bytes={
+            "transfer.h5": sum(part.cost.transfer_bytes for part in parts),
+            "asset.h5": sum(part.cost.asset_bytes for part in parts),
+        },
+        peak_memory_bytes=max(part.cost.compress_memory_bytes for part in parts) + 250_000_000,
+        notes=tuple(notes),
+    )

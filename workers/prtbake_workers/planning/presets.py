@@ -1,0 +1,165 @@
+"""The accuracy ladder: what ``draft`` to ``reference`` mean, stage by stage.
+
+``high`` holds the settings of [Tsai2006] section 7 (642 SRBFs, ranks (8, 48, 24)) with
+supersampled visibility; the steps below and above it change directions, centres, terms, ranks
+and lobes together, so that no single stage dominates the error of a step.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from prtbake_storage.contract.settings import (
+    AssetSettings,
+    BakeSettings,
+    CompressSettings,
+    FitLightSettings,
+    Quality,
+    RenderSettings,
+    ValidateSettings,
+)
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """Settings of every stage of an ``asset`` job, nothing left open but what the scene decides."""
+
+    bake: BakeSettings
+    compress: CompressSettings
+    fit_light: FitLightSettings
+    render: RenderSettings
+    validation: ValidateSettings
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "StageSettings":
+        """Read back what the job's tasks are given as JSON."""
+        return cls(
+            bake=BakeSettings.model_validate(data["bake"]),
+            compress=CompressSettings.model_validate(data["compress"]),
+            fit_light=FitLightSettings.model_validate(data["fit_light"]),
+            render=RenderSettings.model_validate(data["render"]),
+            validation=ValidateSettings.model_validate(data["validation"]),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the settings of all stages as JSON."""
+        return {
+            name: getattr(self, name).model_dump(mode="json")
+            for name in ("bake", "compress", "fit_light", "render", "validation")
+        }
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the ladder; ``verts_per_cluster`` turns the vertex count into clusters."""
+
+    bake: dict[str, Any]
+    compress: dict[str, Any]
+    fit_light: dict[str, Any]
+    validation: dict[str, Any]
+    verts_per_cluster: int
+    ranks: tuple[int, int, int]
+    n_components: int
+
+
+LADDER: dict[Quality, Step] = {
+    "draft": Step(
+        bake={"cube_resolution": 16, "n_centres": 162, "term_energy_lost": 0.05},
+        compress={"max_iterations": 4},
+        fit_light={"n_lobes": 32, "max_iterations": 2},
+        validation={"width": 128, "height": 96, "passes": 4, "samples": 128},
+        verts_per_cluster=720,
+        ranks=(4, 16, 8),
+        n_components=8,
+    ),
+    "low": Step(
+        bake={"cube_resolution": 16, "n_centres": 162, "term_energy_lost": 0.02},
+        compress={"max_iterations": 6},
+        fit_light={"n_lobes": 64, "max_iterations": 3},
+        validation={"width": 160, "height": 120, "passes": 8, "samples": 128},
+        verts_per_cluster=480,
+        ranks=(6, 32, 16),
+        n_components=12,
+    ),
+    "medium": Step(
+        bake={"cube_resolution": 32, "n_centres": 642, "term_energy_lost": 0.01},
+        compress={"max_iterations": 8},
+        fit_light={"n_lobes": 162, "max_iterations": 4},
+        validation={"width": 192, "height": 144, "passes": 8, "samples": 128},
+        verts_per_cluster=360,
+        ranks=(8, 48, 24),
+        n_components=16,
+    ),
+    "high": Step(
+        bake={
+            "cube_resolution": 32,
+            "supersample": 2,
+            "n_centres": 642,
+            "term_energy_lost": 0.004,
+        },
+        compress={"max_iterations": 12},
+        fit_light={"n_lobes": 256, "max_iterations": 6},
+        validation={"width": 192, "height": 144, "passes": 16, "samples": 128},
+        verts_per_cluster=240,
+        ranks=(12, 64, 32),
+        n_components=24,
+    ),
+    "reference": Step(
+        bake={
+            "cube_resolution": 48,
+            "supersample": 2,
+            "n_centres": 2562,
+            "term_energy_lost": 0.002,
+        },
+        compress={"max_iterations": 16},
+        fit_light={"n_lobes": 400, "max_iterations": 8},
+        validation={"width": 256, "height": 192, "passes": 32, "samples": 128},
+        verts_per_cluster=180,
+        ranks=(16, 96, 48),
+        n_components=32,
+    ),
+}
+
+
+def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
+    """Lay the fields a request gives over the quality's step."""
+    step = LADDER[quality]
+    bake = step.bake | overrides.bake
+    if "n_terms" in overrides.bake and "term_energy_lost" not in overrides.bake:
+        bake.pop("term_energy_lost", None)
+    return StageSettings(
+        bake=BakeSettings.model_validate(bake),
+        compress=CompressSettings.model_validate(step.compress | overrides.compress),
+        fit_light=FitLightSettings.model_validate(step.fit_light | overrides.fit_light),
+        render=RenderSettings.model_validate(overrides.render),
+        validation=ValidateSettings.model_validate(step.validation | overrides.validation),
+    )
+
+
+@dataclass(frozen=True)
+class PartCompression:
+    """How one part is compressed."""
+
+    method: str
+    n_clusters: int
+    ranks: tuple[int, int, int]
+    n_components: int
+
+
+def resolve_compression(
+    settings: CompressSettings, quality: Quality, *, n_verts: int, n_terms: int, n_coeffs: int
+) -> PartCompression:
+    """Choose method, clusters and ranks of a part from its size, unless the request gives them.
+
+    One term means clustered PCA, more mean clustered tensor approximation ([Tsai2006] 5.2).
+    Ranks and cluster counts are cut to what the data can hold.
+    """
+    step = LADDER[quality]
+    method = settings.method if settings.method != "auto" else ("cpca" if n_terms == 1 else "cta")
+    n_clusters = settings.n_clusters or max(1, round(n_verts / step.verts_per_cluster))
+    view, light, vert = settings.ranks or step.ranks
+    return PartCompression(
+        method=method,
+        n_clusters=min(n_clusters, n_verts),
+        ranks=(min(view, n_terms), min(light, n_coeffs), vert),
+        n_components=min(settings.n_components or step.n_components, n_coeffs),
+    )

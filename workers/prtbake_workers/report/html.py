@@ -1,0 +1,45 @@
+"""The report as one HTML page with its pictures inside: nothing to fetch, nothing to run."""
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import jinja2
+
+_ENVIRONMENT = jinja2.Environment(
+    loader=jinja2.PackageLoader("prtbake_workers.report", "templates"),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
+
+def _percent(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{100 * value:.3g} %"
+
+
+def _bytes(value: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if abs(value) < 1000:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} GB"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.3g} s" if value < 120 else f"{value / 60:.1f} min"
+
+
+_ENVIRONMENT.filters |= {"percent": _percent, "size": _bytes, "seconds": _seconds}
+
+
+def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
+    """Render a report (see :mod:`prtbake_workers.report.account`) and its PNG pictures."""
+    embedded = {
+        name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
+        for name, data in pictures.items()
+    }
+    return _ENVIRONMENT.get_template("report.html").render(report=report, pictures=embedded)

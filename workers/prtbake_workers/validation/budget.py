@@ -1,0 +1,133 @@
+"""The error budget: what each step from the reference to the asset adds to a picture.
+
+A line is the L2 difference of two neighbouring pictures of the chain over the pixels that show the
+surface, relative to the reference's own L2 norm.  Where a picture comes from Monte Carlo passes,
+the squared difference of the means is too large by the variance of the mean difference; that
+variance is estimated from the passes, subtracted, and stated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from prtbake_workers.arrays import F64, Float64
+
+
+@dataclass(frozen=True)
+class ChainPicture:
+    """One picture of the chain: its values in every pass (one pass where it is deterministic)."""
+
+    name: str
+    """What this picture adds over the one before it."""
+    passes: Float64[F64, "passes hits 3"]
+
+    @property
+    def mean(self) -> Float64[F64, "hits 3"]:
+        """The picture."""
+        return np.asarray(self.passes.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """One step: its relative L2 error, the noise that was subtracted, whether noise hides it."""
+
+    name: str
+    error: float
+    noise: float
+    below_noise: bool
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The lines, their sum and the measured total of one picture (or of several, pooled)."""
+
+    lines: tuple[BudgetLine, ...]
+    total: float
+    total_noise: float
+    reference_noise: float
+    """Relative standard error of the reference picture itself."""
+    squared_reference: float
+    """Squared norm of the reference, for pooling."""
+
+    @property
+    def sum_of_lines(self) -> float:
+        """What the total may at most be, by the triangle inequality."""
+        return sum(line.error for line in self.lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the budget as JSON."""
+        return asdict(self) | {"sum_of_lines": self.sum_of_lines}
+
+
+def squared_difference(a: ChainPicture, b: ChainPicture) -> tuple[float, float]:
+    """Return the squared norm of the mean difference, and the variance that it holds.
+
+    Two sampled pictures are differenced pass by pass, so that what they share cancels.
+    """
+    if min(len(a.passes), len(b.passes)) > 1 and len(a.passes) != len(b.passes):
+        raise ValueError(f"{a.name} has {len(a.passes)} passes, {b.name} {len(b.passes)}")
+    difference = b.passes - a.passes
+    squared = float((difference.mean(axis=0) ** 2).sum())
+    n = difference.shape[0]
+    variance = float(difference.var(axis=0, ddof=1).sum()) / n if n > 1 else 0.0
+    return squared, variance
+
+
+def make_budget(chain: Sequence[ChainPicture]) -> Budget:
+    """Draw up the budget of a chain that begins with the reference and ends with the asset."""
+    reference = chain[0]
+    n = len(reference.passes)
+    noise = float(reference.passes.var(axis=0, ddof=1).sum()) / n if n > 1 else 0.0
+    squared = float((reference.mean**2).sum()) - noise
+    if squared <= 0.0:
+        if not any(picture.passes.any() for picture in chain):
+            dark = tuple(BudgetLine(picture.name, 0.0, 0.0, False) for picture in chain[1:])
+            return Budget(dark, 0.0, 0.0, 0.0, 0.0)
+        squared = max(float((chain[-1].mean ** 2).sum()), np.finfo(np.float64).tiny)
+    lines = []
+    for before, after in pairwise(chain):
+        value, variance = squared_difference(before, after)
+        lines.append(_line(after.name, value, variance, squared))
+    value, variance = squared_difference(reference, chain[-1])
+    total = _line("total", value, variance, squared)
+    return Budget(tuple(lines), total.error, total.noise, float(np.sqrt(noise / squared)), squared)
+
+
+def pool_budgets(budgets: Sequence[Budget]) -> Budget:
+    """Pool the budgets of several pictures: every norm is taken over all of their pixels."""
+    squared = sum(budget.squared_reference for budget in budgets)
+    if squared == 0.0:
+        return budgets[0]
+
+    def pooled(values: list[float]) -> float:
+        weights = [budget.squared_reference for budget in budgets]
+        return float(np.sqrt(np.dot(weights, np.square(values)) / squared))
+
+    lines = tuple(
+        BudgetLine(
+            name=line.name,
+            error=pooled([budget.lines[i].error for budget in budgets]),
+            noise=pooled([budget.lines[i].noise for budget in budgets]),
+            below_noise=all(budget.lines[i].below_noise for budget in budgets),
+        )
+        for i, line in enumerate(budgets[0].lines)
+    )
+    return Budget(
+        lines=lines,
+        total=pooled([budget.total for budget in budgets]),
+        total_noise=pooled([budget.total_noise for budget in budgets]),
+        reference_noise=pooled([budget.reference_noise for budget in budgets]),
+        squared_reference=squared,
+    )
+
+
+def _line(name: str, value: float, variance: float, squared: float) -> BudgetLine:
+    return BudgetLine(
+        name=name,
+        error=float(np.sqrt(max(value - variance, 0.0) / squared)),
+        noise=float(np.sqrt(variance / squared)),
+        below_noise=value < 2.0 * variance,
+    )

@@ -1,0 +1,88 @@
+"""Where a camera's pixel centres meet the scene: the points that all pictures of a chain share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtbake_storage.contract.settings import Camera
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.render.camera import camera_rays
+from prtbake_workers.transport.reference import SurfacePoints
+from prtbake_workers.validation.scene import ValidationScene
+
+HORIZON = 1e-3
+"""Cosine that a view direction is lifted to where a smooth normal leans away from the eye, as the
+decoder does: a silhouette is then as bright as its neighbourhood."""
+
+
+@dataclass(frozen=True)
+class PixelHits:
+    """The pixels of one camera that show a front face, and the vertices behind them."""
+
+    width: int
+    height: int
+    pixels: Int64[I64, " hits"]
+    triangles: Int64[I64, " hits"]
+    barycentrics: Float32[F32, "hits 3"]
+    parts: Int64[I64, " hits"]
+    points: SurfacePoints
+    frames: Float64[F64, "hits 3 3"]
+    wo: Float64[F64, "hits 3"]
+    vertices: Int64[I64, " verts"]
+    """The distinct corners of the triangles seen, in scene numbering."""
+
+    def vertices_of(self, start: int, stop: int) -> Int64[I64, " part_verts"]:
+        """Return the vertices seen that lie in start..stop, the range of a part."""
+        first, last = np.searchsorted(self.vertices, [start, stop])
+        return self.vertices[first:last]
+
+    def picture(self, colours: Float64[F64, "hits 3"]) -> Float32[F32, "height width 3"]:
+        """Lay the colours of the hits out as a picture; everything else is black."""
+        image = np.zeros((self.height * self.width, 3), np.float32)
+        image[self.pixels] = colours
+        return image.reshape(self.height, self.width, 3)
+
+
+def trace_camera(validation: ValidationScene, camera: Camera, width: int, height: int) -> PixelHits:
+    """Trace one ray through every pixel centre and keep the hits that face the eye."""
+    scene = validation.scene
+    origins, directions = camera_rays(camera, width, height, scene.bounds)
+    hits = validation.accelerator.intersect(
+        np.asarray(origins, np.float32), np.asarray(directions, np.float32)
+    )
+    pixels = np.flatnonzero(hits.triangles >= 0)
+    triangles = hits.triangles[pixels].astype(np.int64)
+    barycentrics = hits.barycentrics[pixels]
+    wo = -np.asarray(directions, np.float64)[pixels]
+    corners = scene.faces[triangles]
+    weights = barycentrics.astype(np.float64)[:, :, None]
+    positions = (scene.positions[corners] * weights).sum(axis=1)
+    normals = (scene.normals[corners] * weights).sum(axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    edges = scene.positions[corners[:, 1:]] - scene.positions[corners[:, :1]]
+    side = np.cross(edges[:, 0], edges[:, 1])
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
+    side *= np.where((side * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    keep = np.flatnonzero((wo * side).sum(axis=1) > 0.0)
+    wo = _above_horizon(wo, normals)
+    return PixelHits(
+        width=width,
+        height=height,
+        pixels=pixels[keep],
+        triangles=triangles[keep],
+        barycentrics=barycentrics[keep],
+        parts=validation.part_of_triangle(triangles[keep]),
+        points=SurfacePoints(positions[keep], normals[keep], side[keep]),
+        frames=tangent_frames(normals[keep]),
+        wo=wo[keep],
+        vertices=np.unique(corners[keep]).astype(np.int64),
+    )
+
+
+def _above_horizon(
+    wo: Float64[F64, "hits 3"], normals: Float64[F64, "hits 3"]
+) -> Float64[F64, "hits 3"]:
+    lift = np.maximum(HORIZON - (wo * normals).sum(axis=1, keepdims=True), 0.0)
+    lifted = wo + lift * normals
+    return np.asarray(lifted / np.linalg.norm(lifted, axis=1, keepdims=True))

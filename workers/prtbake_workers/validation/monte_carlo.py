@@ -1,0 +1,122 @@
+"""The pictures of the chain that integrate the light by sampling: from the reference to vertices.
+
+All of them use the same light samples in the same pass.
+"""
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.transport.reference import (
+    LightPass,
+    SurfacePoints,
+    blocks,
+    to_local,
+    visible_cosine,
+)
+from prtbake_workers.validation.hits import PixelHits
+from prtbake_workers.validation.scene import ValidationPart, ValidationScene
+from prtbake_workers.validation.shading import texture_albedo, view_terms
+
+EXACT_NODES = 2049
+"""Cosine nodes of the exact radial functions; cubic between them, so far finer than any table."""
+
+
+class ExactTerms:
+    """The separable terms without their tables, fast enough for pixels x samples.
+
+    Radial functions come from the defining sums (Nystroem) at many nodes of theta.
+    """
+
+    def __init__(self, factorisation: Factorisation) -> None:
+        theta = np.linspace(0.0, 0.5 * np.pi, EXACT_NODES)
+        cosines = np.cos(theta)
+        self._factorisation = factorisation
+        self._psi = CubicSpline(theta, factorisation.radial_exact(cosines, light_side=True))
+        self._phi = CubicSpline(theta, factorisation.radial_exact(cosines, light_side=False))
+
+    def eval_psi(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
+        """Light side, without cosine."""
+        return self._evaluate(self._psi, wi)[..., 0]
+
+    def eval_phi(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
+        """View side, without cosine."""
+        return self._evaluate(self._phi, wo)
+
+    def _evaluate(
+        self, radial: CubicSpline, directions: Float64[F64, "n 3"]
+    ) -> Float64[F64, "n terms columns"]:
+        own = self._factorisation
+        value = radial(np.arccos(np.clip(directions[:, 2], 0.0, 1.0)))[:, own.unit_of_term]
+        azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+        turn = np.cos(azimuth[:, None] * own.orders - own.parity * (0.5 * np.pi))
+        return np.asarray(value * np.where(directions[:, 2:] > 0.0, turn, 0.0)[..., None])
+
+
+def pixel_pictures(
+    validation: ValidationScene,
+    hits: PixelHits,
+    light: LightPass,
+    exact: list[ExactTerms],
+    epsilon: float,
+) -> tuple[Float64[F64, "hits 3"], Float64[F64, "hits 3"], Float64[F64, "hits 3"]]:
+    """Return (true BRDF, K exact terms, K terms by table), all lit at the pixels' own points."""
+    pictures = np.zeros((3, len(hits.pixels), 3))
+    albedo = texture_albedo(validation, hits)
+    for index, part in enumerate(validation.parts):
+        own = np.flatnonzero(hits.parts == index)
+        for block in blocks(len(own), len(light.directions)):
+            which = own[block]
+            received = visible_cosine(
+                hits.points.block(which), light.directions, validation.accelerator, epsilon
+            )
+            frames = hits.frames[which]
+            wi = to_local(frames, light.directions)
+            wo = np.einsum("pij,pj->pi", frames, hits.wo[which])
+            rho = part.brdf.eval_brdf(wi, wo[:, None, :])
+            true = np.einsum("ps,psc,sc->pc", received, rho, light.weights, optimize=True)
+            pictures[0, which] = true * albedo[which]
+            if part.factorisation.is_constant_phi:
+                pictures[1:, which] = pictures[0, which]
+                continue
+            flat = wi.reshape(-1, 3)
+            for row, psi, phi in (
+                (1, exact[index].eval_psi(flat), exact[index].eval_phi(wo)),
+                (2, part.factorisation.eval_psi(flat), view_terms(part, wo)),
+            ):
+                terms = _gather(psi.reshape(*wi.shape[:2], -1), received, light)
+                colour = np.einsum("pkc,pkc->pc", np.broadcast_to(phi, terms.shape), terms)
+                pictures[row, which] = colour * albedo[which]
+    return pictures[0], pictures[1], pictures[2]
+
+
+def vertex_terms(
+    validation: ValidationScene,
+    part: ValidationPart,
+    vertices: Int64[I64, " verts"],
+    light: LightPass,
+    epsilon: float,
+) -> Float64[F64, "verts terms 3"]:
+    """Gather the light of each term at vertices of the scene, with true shadows."""
+    scene = validation.scene
+    normals = scene.normals[vertices]
+    points = SurfacePoints(scene.positions[vertices], normals, normals)
+    result = np.zeros((len(vertices), part.factorisation.n_terms, 3))
+    for block in blocks(len(vertices), len(light.directions)):
+        received = visible_cosine(
+            points.block(block), light.directions, validation.accelerator, epsilon
+        )
+        wi = to_local(scene.frames[vertices[block]], light.directions)
+        psi = part.factorisation.eval_psi(wi.reshape(-1, 3)).reshape(*wi.shape[:2], -1)
+        result[block] = _gather(psi, received, light)
+    return result
+
+
+def _gather(
+    psi: Float64[F64, "points samples terms"],
+    received: Float64[F64, "points samples"],
+    light: LightPass,
+) -> Float64[F64, "points terms 3"]:
+    """Sum psi V cos L over the samples."""
+    return np.asarray((psi * received[..., None]).transpose(0, 2, 1) @ light.weights)

@@ -1,0 +1,58 @@
+"""What a validation holds against each other: the true scene and the steps towards its asset."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtbake_storage.decode.asset import Asset, LightFit
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.environment.environment import Environment
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.directions import CubeDirections
+
+
+@dataclass(frozen=True)
+class ValidationPart:
+    """One part: its true BRDF, its separable form, and the shadows that its bake simulated."""
+
+    brdf: Brdf
+    factorisation: Factorisation
+    view_texture: Float32[F32, "res res terms channels"] | None
+    """Of the terms themselves, before U_view; None where phi is constant."""
+    occluders: Accelerator | None
+    """The triangles that the bake let block its light; None where it traced no ray."""
+
+
+@dataclass(frozen=True)
+class ValidationScene:
+    """Everything between the reference and the asset.
+
+    ``transfer(part, vertices)`` reads stored whitened coefficients (verts, terms, coeffs) of
+    vertices in scene numbering.  ``exact`` is the asset before its factors were quantised.
+    """
+
+    scene: Scene
+    accelerator: Accelerator
+    parts: tuple[ValidationPart, ...]
+    basis: SrbfBasis
+    directions: CubeDirections
+    supersample: int
+    transfer: Callable[[int, Int64[I64, " verts"]], Float32[F32, "verts terms coeffs"]]
+    exact: Asset
+    delivered: Asset
+    environment: Environment
+    light: LightFit
+
+    def part_of_triangle(self, triangles: Int64[I64, " n"]) -> Int64[I64, " n"]:
+        """Return the part that each triangle belongs to."""
+        first = self.scene.faces[triangles, 0]
+        starts = np.array([start for start, _ in self.scene.part_ranges])
+        return np.asarray(np.searchsorted(starts, first, side="right") - 1, dtype=np.int64)
+
+
+Rotation = Float64[F64, "3 3"]

@@ -1,0 +1,70 @@
+"""Shading steps that several pictures of the chain share, all by the asset's own decoder."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from prtbake_storage.decode.asset import Asset
+from prtbake_storage.decode.relight import shade
+from prtbake_storage.decode.texture import lookup_repeating
+from prtbake_storage.decode.view_map import hemi_octahedral, lookup
+from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.validation.hits import PixelHits
+from prtbake_workers.validation.scene import ValidationPart, ValidationScene
+
+
+def view_terms(part: ValidationPart, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
+    """Look phi up in the pre-filtered texture, as a renderer does."""
+    if part.view_texture is None:
+        return part.factorisation.eval_phi(wo)
+    return lookup(part.view_texture, hemi_octahedral(wo)).astype(np.float64)
+
+
+def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64, "hits 3"]:
+    """Return what the albedo textures multiply each pixel by; one where there is none."""
+    albedo = np.ones((len(hits.pixels), 3))
+    asset = validation.exact
+    for index, part in enumerate(asset.parts):
+        if part.albedo_texture is None or asset.uv is None:
+            continue
+        own = np.flatnonzero(hits.parts == index)
+        corners = asset.uv[validation.scene.faces[hits.triangles[own]]]
+        uv = np.einsum("nc,nci->ni", hits.barycentrics[own], corners)
+        albedo[own] = lookup_repeating(part.albedo_texture, uv)
+    return albedo
+
+
+def with_plain_terms(validation: ValidationScene) -> Asset:
+    """Return the asset with R_view = all terms: U_view = I, phi untouched."""
+    asset = validation.exact
+    parts = []
+    for part, true in zip(asset.parts, validation.parts, strict=True):
+        start, stop = part.vertex_range
+        parts.append(
+            replace(
+                part,
+                view_basis=np.eye(true.factorisation.n_terms, dtype=np.float32),
+                view_texture=true.view_texture,
+                frames=validation.scene.frames[start:stop].astype(np.float32),
+            )
+        )
+    return replace(asset, parts=tuple(parts))
+
+
+def shade_hits(
+    asset: Asset, radiances: Sequence[Float32[F32, "verts terms 3"]], hits: PixelHits
+) -> Float64[F64, "hits 3"]:
+    """Shade the hits from what the vertices gathered, one array a part."""
+    colours = shade(asset, radiances, hits.triangles.astype(np.int32), hits.barycentrics, hits.wo)
+    return colours.astype(np.float64)
+
+
+def spread(
+    validation: ValidationScene, hits: PixelHits, part: int, values: Float64[F64, "verts terms 3"]
+) -> Float32[F32, "part_verts terms 3"]:
+    """Lay values of the visible vertices of a part out over all of its vertices."""
+    start, stop = validation.scene.part_ranges[part]
+    full = np.zeros((stop - start, *values.shape[1:]), np.float32)
+    full[hits.vertices_of(start, stop) - start] = values
+    return full
