@@ -25,7 +25,7 @@ def propose_clusters(
 ) -> Int32[I32, " verts"]:
     """Return the cluster with the least approximation error for each vertex, to float32.
 
-    Among equals the lowest number wins.
+    Among scores that are equal to the bit the lowest number wins.
     """
     n_verts, r_view, n_coeffs = z.shape
     rows = z.reshape(n_verts, r_view * n_coeffs)

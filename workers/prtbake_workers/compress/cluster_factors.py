@@ -110,7 +110,9 @@ def squared_residuals(z: View, factors: ClusterFactors) -> Float64[F64, " verts"
     for chunk in row_chunks(z.reshape(n_verts, -1)):
         part = z[chunk]
         core = projected_weights(part, factors) @ factors.dual
-        rows = core.reshape(len(part) * r_view, factors.light.shape[1]) @ factors.light.T
+        rows: F32 = np.matmul(
+            core.reshape(len(part) * r_view, factors.light.shape[1]), factors.light.T
+        )
         np.subtract(part.reshape(-1, n_coeffs), rows, out=rows)
         energy[chunk] = row_energy(rows.reshape(len(part), r_view * n_coeffs))
     return energy

@@ -23,6 +23,7 @@ from prtbake_workers.compress.inputs import (
 )
 from prtbake_workers.compress.lbg import lbg, members_by_cluster, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.parallel import map_clusters
 
 METHODS = ("static",)
 
@@ -140,7 +141,10 @@ def _fit_components(
     coefficients = np.zeros((n_verts, n_components), dtype=np.float32)
     ranks = np.zeros(len(means), dtype=np.int32)
     errors = np.zeros(n_verts)
-    for cluster, members in enumerate(members_by_cluster(labels, len(means))):
+    members_of = members_by_cluster(labels, len(means))
+
+    def fit(cluster: int) -> None:
+        members = members_of[cluster]
         centred = x[members] - means[cluster]
         row_scale = np.sqrt(weights[members] if weights[members].any() else 1.0)
         scaled = centred.astype(np.float64) * np.reshape(row_scale, (-1, 1))
@@ -151,4 +155,6 @@ def _fit_components(
         coefficients[members, :rank] = projected
         ranks[cluster] = rank
         errors[members] = row_energy(centred - projected @ basis)
+
+    map_clusters(fit, range(len(means)))
     return components, coefficients, ranks, errors

@@ -37,6 +37,7 @@ from prtbake_workers.compress.lbg import (
     split_in_two,
 )
 from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.parallel import map_clusters
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
     project_view,
@@ -210,8 +211,10 @@ class _Fit:
     def _fit_clusters(self) -> None:
         """Model step of the clustering phase: U_light,c and V_c of every cluster."""
         first = not self.factors
-        fitted = []
-        for cluster, verts in enumerate(self._members()):
+        members = self._members()
+
+        def fit(cluster: int) -> ClusterFactors:
+            verts = members[cluster]
             z, roots = self.z[verts], self._roots_of(verts)
             if first:
                 light = initial_light_basis(z, roots, self.ranks.light)
@@ -223,26 +226,34 @@ class _Fit:
                 light = light_step(z, u_vert, roots, self.ranks.light)
                 factors = vertex_step(z, light, roots, self.ranks.vert)
             self.errors[verts] = squared_residuals(z, factors)
-            fitted.append(factors)
-        self.factors = fitted
+            return factors
+
+        self.factors = map_clusters(fit, range(self.n_clusters))
         self._record()
 
     def _fit_all_modes(self) -> None:
         """Model step of the approximation phase: U_view, then U_light,c and V_c."""
         members = self._members()
-        vertex_bases = [
-            vertex_basis(projected_weights(self.z[verts], factors), self._roots_of(verts))
-            for verts, factors in zip(members, self.factors, strict=True)
-        ]
+
+        def basis(cluster: int) -> F64:
+            verts = members[cluster]
+            weights = projected_weights(self.z[verts], self.factors[cluster])
+            return vertex_basis(weights, self._roots_of(verts))
+
+        def fit(cluster: int) -> ClusterFactors:
+            verts = members[cluster]
+            z, roots = self.z[verts], self._roots_of(verts)
+            light = light_step(z, vertex_bases[cluster], roots, self.ranks.light)
+            factors = vertex_step(z, light, roots, self.ranks.vert)
+            self.errors[verts] = squared_residuals(z, factors)
+            return factors
+
+        vertex_bases = map_clusters(basis, range(self.n_clusters))
         self.view_basis = updated_view_basis(
             self.transfer, members, vertex_bases, self.factors, self.root_weights, self.ranks.view
         )
         self.view_errors = project_view(self.transfer, self.view_basis, self.z)
-        for cluster, verts in enumerate(members):
-            z, roots = self.z[verts], self._roots_of(verts)
-            light = light_step(z, vertex_bases[cluster], roots, self.ranks.light)
-            self.factors[cluster] = vertex_step(z, light, roots, self.ranks.vert)
-            self.errors[verts] = squared_residuals(z, self.factors[cluster])
+        self.factors = map_clusters(fit, range(self.n_clusters))
         self._record()
 
     def _record(self) -> None:

@@ -76,9 +76,7 @@ def lbg(
     the objective never rises.
     """
     means = _seed_means(signal, n_clusters, rng, weights)
-    state = _Clustering(
-        np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf)
-    )
+    state = _Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
     trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
     for _ in range(max_iterations):
         n_moved = _classify(signal, state)

@@ -1,0 +1,38 @@
+import pytest
+
+from prtbake_workers.compress.monotone import ALLOWED_RISE, ObjectiveRose, ObjectiveTrace
+
+
+def test_falling_and_rounding_are_accepted() -> None:
+    trace = ObjectiveTrace(10.0, "test")
+    for value in (5.0, 4.0, 4.0 + 0.9 * ALLOWED_RISE * 10.0, 1.0):
+        trace.append(value)
+    assert trace.ratio == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("value", [4.0 + 1.1 * ALLOWED_RISE * 10.0, float("nan"), float("inf")])
+def test_a_rise_is_refused_with_its_step(value: float) -> None:
+    trace = ObjectiveTrace(10.0, "test")
+    trace.append(4.0)
+    with pytest.raises(ObjectiveRose, match=r"test: .*1"):
+        trace.append(value)
+    assert trace.values == [4.0]
+
+
+def test_convergence_needs_two_steps_or_no_error() -> None:
+    trace = ObjectiveTrace(10.0, "test")
+    assert not trace.has_converged(1e-3)
+    trace.append(4.0)
+    assert not trace.has_converged(1e-3)
+    trace.append(3.9)
+    assert not trace.has_converged(1e-3)
+    trace.append(3.8999)
+    assert trace.has_converged(1e-3)
+    trace.append(0.0)
+    assert trace.has_converged(0.0)
+
+
+def test_nothing_to_compress_has_no_error() -> None:
+    trace = ObjectiveTrace(0.0, "test")
+    trace.append(0.0)
+    assert trace.ratio == 0.0
