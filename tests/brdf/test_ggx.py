@@ -25,7 +25,9 @@ def test_facets_cover_the_plane(alpha):
     got = np.sum(trowbridge_reitz(cos, sin**2, alpha) * cos * weight)
     # midpoint rule of order n^-2
     assert abs(got - 1) < 1e-4
-    assert abs(np.sum(trowbridge_reitz(cos, sin**2, alpha**2) * cos**2 * weight) - 1) > 1e-3
+    # twin: a factor pi or one power of the cosine is seen
+    assert abs(np.sum(trowbridge_reitz(cos, sin**2, alpha) * np.pi * cos * weight) - 1) > 1
+    assert abs(np.sum(trowbridge_reitz(cos, sin**2, alpha) * weight) - 1) > 1e-3
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.5, 1.0])
@@ -40,10 +42,10 @@ def test_white_furnace_weak(alpha, cos_o):
     wo_h = cos * cos_o + sin * np.sqrt(1 - cos_o**2) * np.cos(phi)
     seen = trowbridge_reitz(cos, sin**2, alpha) * np.maximum(wo_h, 0) * weight
     g1 = smith_g1(np.array([cos_o]), alpha)
-    # the kink of max(0, .) limits the midpoint rule; worst 3e-5
-    assert abs(g1[0] * seen.sum() / cos_o - 1) < 1e-3
+    # midpoint rule of order n^-2; worst 2.3e-5
+    assert abs(g1[0] * seen.sum() / cos_o - 1) < 5e-5
     # twin: another roughness in the masking than in the facets fails
-    assert abs(smith_g1(np.array([cos_o]), 0.7 * alpha)[0] * seen.sum() / cos_o - 1) > 1e-3
+    assert abs(smith_g1(np.array([cos_o]), 1.5 * alpha)[0] * seen.sum() / cos_o - 1) > 5e-4
 
 
 def test_albedo_of_the_roughest_at_normal_view():

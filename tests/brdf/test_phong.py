@@ -20,10 +20,10 @@ def test_albedo_at_normal_view_is_ks(exponent):
 
 
 def test_albedo_at_grazing_view_is_half_a_lobe():
-    """At the horizon: (n + 2) / (2 pi) times the integral of cos_r^n cos_o over half the lobe.
+    """With the lobe's axis in the plane, cos_r = cos a and cos_o = sin a sin b.
 
-    With the lobe's axis in the plane, cos_o = sin a sin b and cos_r = cos a: the closed form is
-    (n + 2) / (2 pi) * 2 * B(3 / 2, (n + 1) / 2) / 2.
+    The integral of cos^n(a) sin(a) sin(b) sin(a) da db over a quarter sphere is
+    B(3 / 2, (n + 1) / 2).
     """
     from scipy.special import beta
 
