@@ -6,17 +6,29 @@ import socket
 import uvicorn
 
 from prtbake_service.app import create_app
-from prtbake_service.logs import configure
+from prtbake_service.middleware import REQUEST_ID
 from prtbake_service.settings import ServiceSettings
+from prtbake_storage.queue.logs import configure_logging
 
 GRACE_S = 3
 """Open event streams would hold a shutdown up for ever; clients take them up again."""
 
 
+def add_request_id(record: logging.LogRecord) -> bool:
+    """Mark a log record with the request it belongs to."""
+    if (request_id := REQUEST_ID.get()) is not None:
+        record.request_id = request_id
+    return True
+
+
 def main() -> None:
     """Serve until SIGINT or SIGTERM."""
     settings = ServiceSettings()
-    configure(as_json=settings.log_json)
+    configure_logging(service="rest")
+    for handler in logging.getLogger().handlers:
+        handler.addFilter(add_request_id)
+    for noisy in ("alembic", "httpx"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,

@@ -53,7 +53,6 @@ class ServiceSettings(BaseSettings):
     heartbeat_every: timedelta = timedelta(seconds=15)
     reconcile_every: timedelta = timedelta(seconds=10)
     worker_dead_after: timedelta = timedelta(seconds=30)
-    log_json: bool = True
 
     @property
     def database(self) -> str:

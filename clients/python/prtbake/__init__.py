@@ -1,5 +1,7 @@
 """SDK and command line of prtbake."""
 
+from typing import TYPE_CHECKING, Any
+
 from prtbake.async_client import AsyncClient
 from prtbake.client import Client
 from prtbake.errors import (
@@ -17,8 +19,12 @@ from prtbake.errors import (
     WaitTimeout,
 )
 
+if TYPE_CHECKING:
+    from prtbake.asset import Asset
+
 __all__ = [
     "ApiError",
+    "Asset",
     "AsyncClient",
     "Client",
     "Conflict",
@@ -33,3 +39,12 @@ __all__ = [
     "Unauthorised",
     "WaitTimeout",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # numpy and h5py take longer to import than most commands take to run
+    if name == "Asset":
+        from prtbake.asset import Asset
+
+        return Asset
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

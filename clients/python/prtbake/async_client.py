@@ -161,7 +161,9 @@ class AsyncClient:
             raise JobNotSucceeded(last)
         return last
 
-    async def events(self, job_id: str, *, after: int | None = None) -> AsyncIterator[Event]:
+    async def events(
+        self, job_id: str, *, after: int | None = None, follow: bool = True
+    ) -> AsyncIterator[Event]:
         """Yield the job's events from the first (or from ``after``) to its end."""
         reader = EventReader(after)
         failures = 0
@@ -171,6 +173,7 @@ class AsyncClient:
                     "GET",
                     f"/v1/jobs/{job_id}/events",
                     headers=reader.headers(),
+                    params={"follow": follow},
                     timeout=httpx.Timeout(self._timeout_s, read=STREAM_SILENCE_S),
                 ) as response:
                     if response.is_error:
@@ -182,6 +185,8 @@ class AsyncClient:
                         if (event := reader.feed(line)) is not None:
                             failures = 0
                             yield event
+                    if not follow:
+                        return
             except httpx.TransportError as error:
                 failures += 1
                 if failures > self._retries:

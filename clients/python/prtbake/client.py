@@ -192,9 +192,12 @@ class Client:
             raise JobNotSucceeded(job)
         return job
 
-    def events(self, job_id: str, *, after: int | None = None) -> Iterator[Event]:
+    def events(
+        self, job_id: str, *, after: int | None = None, follow: bool = True
+    ) -> Iterator[Event]:
         """Yield the job's events from the first (or from ``after``) to its end.
 
+        Without ``follow`` only those that there are now.
         A stream that breaks off is opened again at the last event seen.
         """
         reader = EventReader(after)
@@ -205,6 +208,7 @@ class Client:
                     "GET",
                     f"/v1/jobs/{job_id}/events",
                     headers=reader.headers(),
+                    params={"follow": follow},
                     timeout=httpx.Timeout(self._timeout_s, read=STREAM_SILENCE_S),
                 ) as response:
                     if response.is_error:
@@ -216,6 +220,8 @@ class Client:
                         if (event := reader.feed(line)) is not None:
                             failures = 0
                             yield event
+                    if not follow:
+                        return
             except httpx.TransportError as error:
                 failures += 1
                 if failures > self._retries:

@@ -1,0 +1,38 @@
+"""``--set path.to.field=value``."""
+
+import json
+from typing import Any
+
+import typer
+
+
+def parse_value(text: str) -> Any:
+    """Read a value: JSON if it is, a list if it has commas, else the text itself."""
+    text = text.strip()
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        pass
+    if text.lower() == "none":
+        return None
+    if "," in text:
+        return [parse_value(part) for part in text.split(",")]
+    return text
+
+
+def nested(pairs: list[str]) -> dict[str, Any]:
+    """Read ``a.b=value`` pairs into nested dictionaries; later ones win."""
+    tree: dict[str, Any] = {}
+    for pair in pairs:
+        path, equals, text = pair.partition("=")
+        steps = path.strip().split(".")
+        if not equals or not all(steps):
+            raise typer.BadParameter(f"{pair!r} is not path.to.field=value", param_hint="--set")
+        node = tree
+        for step in steps[:-1]:
+            inner = node.setdefault(step, {})
+            if not isinstance(inner, dict):
+                raise typer.BadParameter(f"{step!r} has a value already", param_hint="--set")
+            node = inner
+        node[steps[-1]] = parse_value(text)
+    return tree

@@ -1,0 +1,62 @@
+"""The command ``prtbake``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from prtbake.cli import files, jobs
+from prtbake.cli.context import Target
+from prtbake.cli.demo import demo
+from prtbake.cli.exits import LEGEND
+from prtbake.cli.serve import serve
+from prtbake.cli.submit import estimate_group, submit_group
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=LEGEND,
+    help="Bake, compress and relight precomputed radiance transfer.",
+)
+
+
+@app.callback()
+def options(
+    context: typer.Context,
+    url: Annotated[str | None, typer.Option(envvar="PRTBAKE_URL", help="The service.")] = None,
+    key: Annotated[
+        str | None, typer.Option(envvar="PRTBAKE_API_KEY", help="An API key.", show_envvar=True)
+    ] = None,
+    data_dir: Annotated[
+        Path | None, typer.Option(help="Data directory of a local service.")
+    ] = None,
+) -> None:
+    """Keep what all commands need."""
+    context.obj = Target(None if data_dir else url, key, data_dir)
+
+
+app.add_typer(submit_group, name="submit")
+app.add_typer(estimate_group, name="estimate")
+app.add_typer(files.register_group, name="register")
+app.command()(demo)
+app.command()(serve)
+app.command()(jobs.wait)
+app.command()(jobs.watch)
+app.command()(jobs.logs)
+app.command("get")(files.get)
+app.command()(jobs.cancel)
+app.command()(jobs.retry)
+app.command("ls")(jobs.list_jobs)
+app.command("show")(jobs.show_job)
+app.command("rm")(jobs.remove)
+app.command()(files.upload)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

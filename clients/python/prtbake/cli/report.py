@@ -1,0 +1,124 @@
+"""The result of an asset job for people: budget, errors, time, bytes, effects."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from prtbake.cli.output import console, human_bytes, human_seconds
+from prtbake_storage.contract.jobs import Job
+
+Result = Mapping[str, Any]
+
+
+def print_result(result: Result) -> None:
+    """Print what is there, and nothing about what is not."""
+    for table in (_budget(result), _errors(result), _costs(result), _effects(result)):
+        if table is not None and table.row_count:
+            console().print(table)
+
+
+def total_error(result: Result) -> float | None:
+    """Return the end-to-end error: the budget's measured total, else what is called a total."""
+    for place in (result.get("budget"), result.get("errors")):
+        if isinstance(place, Mapping):
+            for name in ("measured_total", "total", "end_to_end"):
+                if (value := _number(place.get(name))) is not None:
+                    return value
+    return None
+
+
+def total_seconds(job: Job) -> float:
+    """Return how long a job took, waiting for a worker left out."""
+    if job.started and job.finished:
+        return (job.finished - job.started).total_seconds()
+    return job.progress.elapsed_s
+
+
+def asset_bytes(job: Job) -> int | None:
+    """Return the size of the compressed asset."""
+    sizes = {artefact.name: artefact.size for artefact in job.artefacts}
+    return sizes.get("asset.h5")
+
+
+def _budget(result: Result) -> Table | None:
+    budget = result.get("budget")
+    if not isinstance(budget, Mapping):
+        return None
+    table = Table(title="error budget", title_justify="left")
+    table.add_column("line")
+    table.add_column("error", justify="right")
+    lines = budget.get("lines")
+    for line in lines if isinstance(lines, Sequence) else ():
+        if isinstance(line, Mapping):
+            table.add_row(escape(str(line.get("name", "?"))), _percent(line.get("error")))
+    table.add_section()
+    for name in ("sum", "total", "measured_total"):
+        if _number(budget.get(name)) is not None:
+            table.add_row(name.replace("_", " "), _percent(budget[name]), style="bold")
+    return table
+
+
+def _errors(result: Result) -> Table | None:
+    errors = _numbers(result.get("errors"))
+    if not errors:
+        return None
+    table = Table(title="errors", title_justify="left")
+    table.add_column("of")
+    table.add_column("error", justify="right")
+    for name, value in errors.items():
+        table.add_row(escape(name), _percent(value))
+    return table
+
+
+def _costs(result: Result) -> Table | None:
+    seconds = _numbers(result.get("seconds"))
+    sizes = _numbers(result.get("bytes"))
+    if not seconds and not sizes:
+        return None
+    table = Table(title="costs", title_justify="left")
+    table.add_column("stage or file")
+    table.add_column("time", justify="right")
+    table.add_column("size", justify="right")
+    for name in dict.fromkeys([*seconds, *sizes]):
+        time = human_seconds(seconds[name]) if name in seconds else ""
+        size = human_bytes(sizes[name]) if name in sizes else ""
+        table.add_row(escape(name), time, size)
+    return table
+
+
+def _effects(result: Result) -> Table | None:
+    effects = result.get("effects")
+    if not isinstance(effects, Sequence) or isinstance(effects, str):
+        return None
+    table = Table(title="effects", title_justify="left")
+    for heading in ("effect", "taken", "why"):
+        table.add_column(heading)
+    for item in effects:
+        if isinstance(item, Mapping):
+            name = escape(str(item.get("effect", item.get("name", "?"))))
+            taken = "yes" if item.get("taken") else "no"
+            table.add_row(name, taken, escape(str(item.get("reason", ""))))
+    return table
+
+
+def _numbers(value: Any, prefix: str = "") -> dict[str, float]:
+    found: dict[str, float] = {}
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            path = f"{prefix}.{name}" if prefix else str(name)
+            number = _number(inner)
+            found |= _numbers(inner, path) if number is None else {path: number}
+    return found
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value)
+
+
+def _percent(value: Any) -> str:
+    number = _number(value)
+    return "" if number is None else f"{number:.3%}"

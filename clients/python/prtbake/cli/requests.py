@@ -1,0 +1,315 @@
+"""One command a job kind, for ``submit`` and ``estimate`` alike.
+
+Each builder below turns its options into a request; `request_commands` joins it with what is to be
+done with the request, so that both groups take the same options.
+"""
+
+import inspect
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from prtbake.cli.assignments import nested, parse_value
+from prtbake.cli.context import client_of
+from prtbake.cli.sources import (
+    brdf_value,
+    environment_id,
+    existing_file,
+    key_values,
+    mesh_id,
+)
+from prtbake.client import Client
+
+Request = dict[str, Any]
+Builder = Callable[..., Request]
+Action = Callable[..., None]
+
+Mesh = Annotated[str, typer.Option(help="FILE, builtin:teapot[:N], builtin:icosphere[:N] or id.")]
+Brdf = Annotated[str, typer.Option(help="FILE.json, 'cook_torrance,m=0.5,kd=0.3', JSON or id.")]
+Environment = Annotated[
+    str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
+]
+MeshFormat = Annotated[str, typer.Option(help="auto, obj, ply, stl, off or glb.")]
+Layout = Annotated[
+    str,
+    typer.Option(help="auto, lat_long, lat_long_exr, angular_probe or cube_strip."),
+]
+Repair = Annotated[bool, typer.Option(help="Replace NaN and infinite pixels, and say so.")]
+Receiver = Annotated[
+    str | None,
+    typer.Option(help="Plane under the object: 'on', a resolution, or resolution=64,extent=2."),
+]
+Texture = Annotated[str | None, typer.Option(help="Albedo as PNG, or sha256:...")]
+Effect = Annotated[list[str] | None, typer.Option(help="NAME=auto|on|off; repeat for several.")]
+Quality = Annotated[str, typer.Option(help="draft, low, medium, high or reference.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", help="A setting, as n_terms=16; repeat for several.")
+]
+StageSet = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A setting of a stage, as bake.n_terms=16; repeat for several."),
+]
+Label = Annotated[str | None, typer.Option(help="A name for people.")]
+Priority = Annotated[int, typer.Option(help="1 (first) to 100.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Timeout = Annotated[int | None, typer.Option(help="Seconds after which the job expires.")]
+Artefact = Annotated[str, typer.Option(help="JOB/NAME of an earlier job.")]
+
+
+def asset(
+    client: Client,
+    *,
+    mesh: Mesh,
+    brdf: Brdf,
+    environment: Environment,
+    quality: Quality = "medium",
+    receiver: Receiver = None,
+    albedo_texture: Texture = None,
+    effect: Effect = None,
+    setting: StageSet = None,
+    mesh_format: MeshFormat = "auto",
+    layout: Layout = "auto",
+    repair_non_finite: Repair = False,
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Bake, compress, fit the light, render, validate, report: the main job."""
+    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format)
+    light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
+    return {
+        "kind": "asset",
+        **scene,
+        "environment": light,
+        "quality": quality,
+        "settings": nested(setting or []),
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def bake(
+    client: Client,
+    *,
+    mesh: Mesh,
+    brdf: Brdf,
+    receiver: Receiver = None,
+    albedo_texture: Texture = None,
+    effect: Effect = None,
+    setting: Set = None,
+    mesh_format: MeshFormat = "auto",
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Simulate transport: gives transfer.h5."""
+    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format)
+    settings = nested(setting or [])
+    return {
+        "kind": "bake",
+        **scene,
+        "settings": settings,
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def compress(
+    client: Client,
+    *,
+    transfer: Artefact,
+    setting: Set = None,
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Compress a transfer artefact: gives asset.h5."""
+    del client
+    return {
+        "kind": "compress",
+        "transfer": transfer,
+        "settings": nested(setting or []),
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def fit_light(
+    client: Client,
+    *,
+    environment: Environment,
+    setting: Set = None,
+    layout: Layout = "auto",
+    repair_non_finite: Repair = False,
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Fit an environment: gives light.h5."""
+    light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
+    return {
+        "kind": "fit_light",
+        "environment": light,
+        "settings": nested(setting or []),
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def render(
+    client: Client,
+    *,
+    asset: Artefact,
+    light: Artefact,
+    setting: Set = None,
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Relight an asset: gives PNG and EXR pictures."""
+    del client
+    return {
+        "kind": "render",
+        "asset": asset,
+        "light": light,
+        "settings": nested(setting or []),
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def validate(
+    client: Client,
+    *,
+    asset: Artefact,
+    transfer: Artefact,
+    light: Artefact,
+    environment: Environment,
+    setting: Set = None,
+    label: Label = None,
+    priority: Priority = 50,
+    seed: Seed = 0,
+    timeout: Timeout = None,
+) -> Request:
+    """Hold an asset against the reference: gives pictures, metrics and the error budget."""
+    return {
+        "kind": "validate",
+        "asset": asset,
+        "transfer": transfer,
+        "light": light,
+        "environment": environment_id(client, environment),
+        "settings": nested(setting or []),
+        **_common(label, priority, seed, timeout),
+    }
+
+
+def file(
+    client: Client,
+    *,
+    request: Annotated[str, typer.Argument(help="A request as JSON; - reads standard input.")],
+) -> Request:
+    """Take the whole request from a JSON file."""
+    del client
+    text = sys.stdin.read() if request == "-" else existing_file(request, "REQUEST").read_text()
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise typer.BadParameter(f"not JSON: {error}", param_hint="REQUEST") from error
+    if not isinstance(value, dict):
+        raise typer.BadParameter("a request is a JSON object", param_hint="REQUEST")
+    return value
+
+
+BUILDERS: dict[str, Builder] = {
+    "asset": asset,
+    "bake": bake,
+    "compress": compress,
+    "fit-light": fit_light,
+    "render": render,
+    "validate": validate,
+    "file": file,
+}
+
+
+def request_commands(group: typer.Typer, action: Action) -> None:
+    """Add one command a job kind: the builder's options, then those of the action.
+
+    The action is called as ``action(client, request, **its options)``.
+    """
+    for name, builder in BUILDERS.items():
+        group.command(name)(_joined(builder, action))
+
+
+def _joined(builder: Builder, action: Action) -> Callable[..., None]:
+    built = _options(builder, skip=1)
+    acted = _options(action, skip=2)
+
+    def command(context: typer.Context, **values: Any) -> None:
+        with client_of(context) as client:
+            request = builder(client, **{key: values[key] for key in built})
+            action(client, request, **{key: values[key] for key in acted})
+
+    first = inspect.Parameter(
+        "context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context
+    )
+    parameters = [first, *built.values(), *acted.values()]
+    command.__doc__ = builder.__doc__
+    # typer reads a command's options from its signature and annotations
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {item.name: item.annotation for item in parameters}
+    return command
+
+
+def _options(function: Callable[..., Any], *, skip: int) -> dict[str, inspect.Parameter]:
+    parameters = list(inspect.signature(function).parameters.values())[skip:]
+    return {item.name: item for item in parameters}
+
+
+def _scene(
+    client: Client,
+    mesh: str,
+    brdf: str,
+    receiver: str | None,
+    texture: str | None,
+    effects: list[str] | None,
+    mesh_format: str,
+) -> Request:
+    scene: Request = {
+        "brdf": brdf_value(brdf),
+        "mesh": mesh_id(client, mesh, format=mesh_format),
+        "effects": key_values(effects or []),
+    }
+    # JSON's true and false are not what a switch is called
+    scene["effects"] = {
+        name: {True: "on", False: "off"}.get(value, value)
+        for name, value in scene["effects"].items()
+    }
+    if receiver is not None:
+        scene["receiver"] = receiver_value(receiver)
+    if texture is not None:
+        known = texture.startswith("sha256:")
+        path = None if known else existing_file(texture, "--albedo-texture")
+        scene["albedo_texture"] = texture if path is None else _upload(client, path)
+    return scene
+
+
+def receiver_value(text: str) -> Request:
+    """Read ``--receiver``: ``on``, a resolution, or pairs."""
+    if text == "on":
+        return {}
+    if "=" not in text:
+        return {"resolution": parse_value(text)}
+    return key_values(text.split(","))
+
+
+def _upload(client: Client, path: Path) -> str:
+    return client.upload(path).digest
+
+
+def _common(label: str | None, priority: int, seed: int, timeout: int | None) -> Request:
+    common: Request = {"label": label, "priority": priority, "seed": seed, "timeout_s": timeout}
+    return {name: value for name, value in common.items() if value is not None}

@@ -1,0 +1,99 @@
+"""What a mesh, BRDF or environment on the command line means.
+
+::
+
+    mesh          FILE | builtin:teapot[:N] | builtin:icosphere[:N] | mesh-0123456789abcdef
+    brdf          FILE.json | MODEL,key=value,... | {"model": ...} | brdf-0123456789abcdef
+    environment   FILE | builtin:NAME[,key=value,...] | environment-0123456789abcdef
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import typer
+
+from prtbake.cli.assignments import parse_value
+from prtbake.client import Client
+from prtbake_storage.contract.brdf import BrdfSpec, brdf_adapter
+from prtbake_storage.contract.resources import (
+    BuiltinEnvironment,
+    BuiltinMesh,
+    EnvironmentRegistration,
+    MeshRegistration,
+)
+
+BUILTIN = "builtin:"
+_RESOURCE = re.compile(r"(mesh|brdf|environment)-[0-9a-f]{16}")
+_MODELS = frozenset(
+    member.model_fields["model"].default for member in get_args(get_args(BrdfSpec)[0])
+)
+
+
+def mesh_id(client: Client, source: str, **options: object) -> str:
+    """Return the id of the mesh that an argument means, registering it if it is new."""
+    if _RESOURCE.fullmatch(source):
+        return source
+    if source.startswith(BUILTIN):
+        name, _, count = source.removeprefix(BUILTIN).partition(":")
+        body: dict[str, Any] = {"name": name}
+        if count:
+            body["tessellation"] = parse_value(count)
+        builtin = BuiltinMesh.model_validate(body)
+        return client.register(MeshRegistration(builtin=builtin)).id
+    return client.add_mesh(existing_file(source, "--mesh"), **options).id
+
+
+def environment_id(client: Client, source: str, **options: object) -> str:
+    """Return the id of the environment that an argument means, registering it if it is new."""
+    if _RESOURCE.fullmatch(source):
+        return source
+    if source.startswith(BUILTIN):
+        name, *pairs = source.removeprefix(BUILTIN).split(",")
+        builtin = BuiltinEnvironment.model_validate({"name": name, **key_values(pairs)})
+        return client.register(EnvironmentRegistration(builtin=builtin)).id
+    return client.add_environment(existing_file(source, "--environment"), **options).id
+
+
+def brdf_value(source: str) -> str | dict[str, Any]:
+    """Return the BRDF that an argument means: an id, or the JSON that describes it."""
+    if _RESOURCE.fullmatch(source):
+        return source
+    if source.lstrip().startswith("{"):
+        return _brdf(source)
+    model, *pairs = source.split(",")
+    if model in _MODELS:
+        return _checked({"model": model, **key_values(pairs)})
+    return _brdf(existing_file(source, "--brdf").read_text())
+
+
+def existing_file(source: str, option: str) -> Path:
+    """Return the path of a file, or say that there is none."""
+    path = Path(source).expanduser()
+    if not path.is_file():
+        raise typer.BadParameter(f"there is no file {source}", param_hint=option)
+    return path
+
+
+def key_values(pairs: list[str]) -> dict[str, Any]:
+    """Read ``key=value`` pairs; values as `parse_value` has them, colours as ``0.8:0.2:0.1``."""
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"{pair!r} is not key=value")
+        values[key.strip()] = parse_value(text.replace(":", ","))
+    return values
+
+
+def _brdf(text: str) -> dict[str, Any]:
+    try:
+        return _checked(json.loads(text))
+    except json.JSONDecodeError as error:
+        raise typer.BadParameter(f"not JSON: {error}", param_hint="--brdf") from error
+
+
+def _checked(value: object) -> dict[str, Any]:
+    plain: dict[str, Any] = brdf_adapter.validate_python(value).model_dump(mode="json")
+    return plain
