@@ -1,9 +1,10 @@
 """SRBF bases of one bandwidth on fixed centres: evaluation, metric, projection, light."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from prtbake_storage.decode.srbf import (
     CONDITION_LIMIT,
@@ -27,6 +28,9 @@ __all__ = [
     "gaussian_product_integral",
 ]
 
+Reals = float | np.floating[Any] | NDArray[Any]
+"""What kernels take: a number or an array; they broadcast."""
+
 SAFE_BANDWIDTH_PER_CENTRE = 40.0 / 642.0
 """Condition 2.4e7 on icosphere centres: what an error message offers instead."""
 
@@ -34,7 +38,7 @@ LIGHT_CHUNK = 8192
 """Texels a block while an environment is integrated: 40 MB at 642 centres."""
 
 
-def abel_poisson(cos_angle: ArrayLike, lam: ArrayLike) -> F64:
+def abel_poisson(cos_angle: Reals, lam: Reals) -> F64:
     """Evaluate the Abel-Poisson SRBF, [Tsai2006]_ eq. (3).
 
     ``G(t; lam) = (1 - lam^2) / (1 - 2 lam t + lam^2)^(3/2)``
@@ -57,7 +61,7 @@ def abel_poisson(cos_angle: ArrayLike, lam: ArrayLike) -> F64:
     return _abel_poisson_from_width(t, width)
 
 
-def abel_poisson_product_integral(lam_g: ArrayLike, lam_h: ArrayLike, cos_angle: ArrayLike) -> F64:
+def abel_poisson_product_integral(lam_g: Reals, lam_h: Reals, cos_angle: Reals) -> F64:
     """Integrate the product of two Abel-Poisson SRBFs over the sphere.
 
     ``4 pi (1 - (lam_g lam_h)^2) / (1 - 2 lam_g lam_h c + (lam_g lam_h)^2)^(3/2)``
@@ -85,7 +89,7 @@ def abel_poisson_product_integral(lam_g: ArrayLike, lam_h: ArrayLike, cos_angle:
     return np.asarray(4.0 * np.pi * _abel_poisson_from_width(c, (1.0 - g) + g * (1.0 - h)))
 
 
-def _abel_poisson_from_width(t: F64, width: F64) -> F64:
+def _abel_poisson_from_width(t: F64 | np.float64, width: F64 | np.float64) -> F64:
     lam = 1.0 - width
     return np.asarray(width * (1.0 + lam) / (width**2 + 2.0 * lam * (1.0 - t)) ** 1.5)
 

@@ -121,7 +121,7 @@ def bake_block(
     scene
         All parts; those in the accelerator cast shadows.
     accelerator
-        The occluders; may be None without ``shadows``.
+        The occluders; None if there are none.
     vertex_range
         First and one past the last vertex, of one part.
     factorisation
@@ -133,7 +133,7 @@ def bake_block(
     supersample
         S: V is the share of S x S rays that escape.
     shadows
-        False takes V = 1 and traces nothing.
+        False takes V = 1 and traces nothing, as does an accelerator of None.
     threads
         Chunks worked on at a time; the result does not depend on it.
     progress
@@ -163,8 +163,6 @@ def bake_block(
         raise SettingsError(
             f"the projection is for {len(projection.samples)} directions, not {directions.n}"
         )
-    if shadows and accelerator is None:
-        raise SettingsError("shadows need an accelerator")
     epsilon = ray_epsilon(scene.bounds)
     baker = _Baker(
         accelerator=accelerator if shadows else None,
