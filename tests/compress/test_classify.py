@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 
 from prtbake_workers.compress.classify import propose_clusters, reclassify
-from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
+from prtbake_workers.compress.cluster_factors import (
+    ClusterFactors,
+    rank_zero,
+    squared_residuals,
+)
 
 
 def _random_factors(rng, z, n_clusters, r_light=6, r_vert=4):
@@ -47,9 +51,7 @@ def test_proposals_are_those_of_brute_force(z, rng):
 
 def test_clusters_of_different_rank_are_compared_fairly(z, rng):
     factors = [_random_factors(rng, z, 1, r_light=2 + c, r_vert=1 + c)[0] for c in range(5)]
-    factors.append(
-        ClusterFactors(np.zeros((z.shape[2], 0), np.float32), np.zeros((0, 0), np.float32))
-    )
+    factors.append(rank_zero(z.shape[2]))
     errors = _brute_force_errors(z, factors)
     np.testing.assert_array_equal(propose_clusters(z, factors), np.argmin(errors, axis=1))
 

@@ -39,6 +39,11 @@ class ClusterFactors(NamedTuple):
         return rows.reshape(len(self.dual), r_view * n_coeffs)
 
 
+def rank_zero(n_coeffs: int) -> ClusterFactors:
+    """Return the factors of a cluster without vertices."""
+    return ClusterFactors(np.zeros((n_coeffs, 0), np.float32), np.zeros((0, 0), np.float32))
+
+
 def initial_light_basis(
     z: View, root_weights: Float64[F64, " verts"], rank: int
 ) -> Float32[F32, "coeffs r_light"]:
@@ -107,7 +112,7 @@ def squared_residuals(z: View, factors: ClusterFactors) -> Float64[F64, " verts"
     """Return ||Z_x - Z~_x||^2 of each vertex from the residual itself: exact near zero."""
     n_verts, r_view, n_coeffs = z.shape
     energy = np.empty(n_verts)
-    for chunk in row_chunks(z.reshape(n_verts, -1)):
+    for chunk in row_chunks(z.reshape(n_verts, r_view * n_coeffs)):
         part = z[chunk]
         core = projected_weights(part, factors) @ factors.dual
         rows: F32 = np.matmul(

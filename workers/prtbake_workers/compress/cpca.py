@@ -36,7 +36,7 @@ def compress_cpca(
     method: str = "static",
     seed: int,
     max_iterations: int = 40,
-    vertex_weights: Float[NDArray[Any], " verts"] | None = None,
+    vertex_weights: NDArray[Any] | None = None,
 ) -> CpcaModel:
     """Approximate each row of ``signal`` by its cluster's mean and principal components.
 

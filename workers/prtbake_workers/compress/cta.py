@@ -19,6 +19,7 @@ from prtbake_workers.compress.cluster_factors import (
     initial_light_basis,
     light_step,
     projected_weights,
+    rank_zero,
     squared_residuals,
     vertex_basis,
     vertex_step,
@@ -63,7 +64,7 @@ def compress_cta(
     *,
     seed: int,
     max_iterations: int = 10,
-    vertex_weights: Float[NDArray[Any], " verts"] | None = None,
+    vertex_weights: NDArray[Any] | None = None,
     progress: Progress | None = None,
 ) -> CtaModel:
     """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
@@ -215,6 +216,8 @@ class _Fit:
 
         def fit(cluster: int) -> ClusterFactors:
             verts = members[cluster]
+            if len(verts) == 0:
+                return rank_zero(self.z.shape[2])
             z, roots = self.z[verts], self._roots_of(verts)
             if first:
                 light = initial_light_basis(z, roots, self.ranks.light)
@@ -242,6 +245,8 @@ class _Fit:
 
         def fit(cluster: int) -> ClusterFactors:
             verts = members[cluster]
+            if len(verts) == 0:
+                return rank_zero(self.z.shape[2])
             z, roots = self.z[verts], self._roots_of(verts)
             light = light_step(z, vertex_bases[cluster], roots, self.ranks.light)
             factors = vertex_step(z, light, roots, self.ranks.vert)

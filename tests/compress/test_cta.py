@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+from tensorly.decomposition import partial_tucker
+
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+
+RANKS = CtaRanks(5, 12, 8)
+
+
+def _squared_error(model, transfer, weights=1.0):
+    """Squared error by eq. 18 of Tsai & Shih, in float64, one vertex at a time."""
+    view = model.view_basis.astype(float)
+    total = np.empty(len(transfer))
+    for x, label in enumerate(model.labels):
+        w = model.weights[x].astype(float)
+        core = (model.dual_bases[label].astype(float).T @ w).reshape(view.shape[1], -1)
+        approximated = view @ core @ model.light_bases[label].astype(float).T
+        total[x] = np.sum((transfer[x].astype(float) - approximated) ** 2)
+    return total, float(np.sum(weights * total))
+
+
+@pytest.fixture(scope="module")
+def model(glossy):
+    return compress_cta(glossy, 6, RANKS, seed=1)
+
+
+def test_one_cluster_reaches_the_error_of_partial_tucker(glossy):
+    model = compress_cta(glossy, 1, RANKS, seed=0, max_iterations=30)
+    (core, _), _ = partial_tucker(
+        glossy.astype(float),
+        rank=[RANKS.vert, RANKS.view, RANKS.light],
+        modes=[0, 1, 2],
+        n_iter_max=100,
+        tol=1e-10,
+    )
+    oracle = np.sum(glossy.astype(float) ** 2) - np.sum(core**2)
+    # Ours stops when an iteration wins less than 0.1 %; both are local searches.
+    assert model.objective[-1] == pytest.approx(oracle, rel=3e-3)
+    smaller = compress_cta(glossy, 1, RANKS._replace(light=11), seed=0, max_iterations=30)
+    assert smaller.objective[-1] != pytest.approx(oracle, rel=3e-3)
+
+
+def test_objective_is_the_error_of_the_reconstruction(model, glossy):
+    per_vertex, total = _squared_error(model, glossy)
+    # float32 residuals: 1e-7 of the signal against residuals of 1e-1 of it.
+    assert model.objective[-1] == pytest.approx(total, rel=1e-5)
+    np.testing.assert_allclose(model.squared_error_per_vertex, per_vertex, rtol=1e-3, atol=1e-9)
+    assert model.initial_energy == pytest.approx(np.sum(glossy.astype(float) ** 2), rel=1e-6)
+    difference = glossy.astype(float) - model.reconstruct()
+    assert np.sum(difference**2) == pytest.approx(total, rel=1e-5)
+    swapped = np.roll(model.labels, 1)
+    assert np.any(swapped != model.labels)
+    assert _squared_error(_with_labels(model, swapped), glossy)[1] > 1.01 * total
+
+
+def _with_labels(model, labels):
+    return type(model)(**{**vars(model), "labels": labels})
+
+
+def test_reconstruct_of_a_slice_is_that_part(model):
+    whole = model.reconstruct()
+    np.testing.assert_allclose(model.reconstruct(slice(100, 130)), whole[100:130], atol=1e-6)
+    assert not np.allclose(model.reconstruct(slice(101, 131)), whole[100:130], atol=1e-6)
+
+
+def test_bases_are_orthonormal(model):
+    view = model.view_basis
+    np.testing.assert_allclose(view.T @ view, np.eye(RANKS.view), atol=1e-6)
+    for (_, light, vert), basis, dual in zip(
+        model.ranks, model.light_bases, model.dual_bases, strict=True
+    ):
+        np.testing.assert_allclose(basis[:, :light].T @ basis[:, :light], np.eye(light), atol=1e-6)
+        np.testing.assert_allclose(dual[:vert] @ dual[:vert].T, np.eye(vert), atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("n_clusters", [1, 4, 20])
+def test_objective_never_rises(glossy, n_clusters, seed):
+    model = compress_cta(glossy, n_clusters, RANKS, seed=seed)
+    assert len(model.objective) == model.iterations > 1
+    assert np.all(np.diff(model.objective) <= 1e-7 * model.initial_energy)
+
+
+def test_clustering_is_worth_it(glossy):
+    errors = [compress_cta(glossy, n, RANKS, seed=0).objective[-1] for n in (1, 4, 16)]
+    assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
+
+
+def test_every_vertex_is_in_the_cluster_that_approximates_it_best(glossy):
+    model = compress_cta(glossy, 6, RANKS, seed=1, max_iterations=60)
+    own, total = _squared_error(model, glossy)
+    best = own.copy()
+    view = model.view_basis.astype(float)
+    z = np.einsum("kr,vkl->vrl", view, glossy.astype(float))
+    left_out = np.sum(glossy.astype(float) ** 2, (1, 2)) - np.sum(z**2, (1, 2))
+    for light, dual in zip(model.light_bases, model.dual_bases, strict=True):
+        rows = np.einsum("vrl,ls->vrs", z, light.astype(float)).reshape(len(z), -1)
+        captured = np.sum((rows @ dual.T) ** 2, axis=1)
+        best = np.minimum(best, left_out + np.sum(z**2, (1, 2)) - captured)
+    # The last steps move the bases after the last classification: little is left to win.
+    assert best.sum() >= 0.98 * total
+
+
+def test_same_seed_same_bytes_and_another_seed_another_model(model, glossy):
+    again = compress_cta(glossy, 6, RANKS, seed=1)
+    for name in ("view_basis", "light_bases", "dual_bases", "weights", "labels"):
+        assert getattr(again, name).tobytes() == getattr(model, name).tobytes()
+    assert again.objective == model.objective
+    other = compress_cta(glossy, 6, RANKS, seed=2)
+    assert other.labels.tobytes() != model.labels.tobytes()
+
+
+def test_size_is_that_of_the_float32_factors(model):
+    n_terms, n_coeffs, n_verts = 9, 81, 600
+    floats = n_terms * 5 + 6 * (n_coeffs * 12 + 8 * 5 * 12) + n_verts * 8
+    assert model.nbytes == 4 * floats
+
+
+def test_areas_as_weights_serve_the_large_vertices(glossy):
+    weights = np.where(np.arange(len(glossy)) < 300, 50.0, 1.0)
+    plain = compress_cta(glossy, 4, RANKS, seed=0)
+    weighted = compress_cta(glossy, 4, RANKS, seed=0, vertex_weights=weights)
+    _, total = _squared_error(weighted, glossy, weights)
+    assert weighted.objective[-1] == pytest.approx(total, rel=1e-5)
+    assert total < 0.95 * np.sum(weights * plain.squared_error_per_vertex)
+    energy = np.sum(weights * np.sum(glossy.astype(float) ** 2, axis=(1, 2)))
+    assert weighted.initial_energy == pytest.approx(energy, rel=1e-6)
+
+
+def test_progress_rises_to_one(glossy):
+    seen = []
+    compress_cta(glossy, 3, RANKS, seed=0, progress=lambda f, state: seen.append((f, state)))
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert "error" in seen[-1][1]
