@@ -31,7 +31,7 @@ class Pinhole:
     tan_y: float
 
     def directions(self, width: int, height: int) -> Float64[F64, "rays 3"]:
-        """Unit directions through the pixel centres, row by row from the upper left."""
+        """Return unit directions through the pixel centres, row by row from the upper left."""
         x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * self.tan_x
         y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * self.tan_y
         rays: F64 = (
@@ -118,6 +118,17 @@ def camera_rays(
     return np.tile(view.eye, (len(directions), 1)), directions
 
 
+def framing_bounds(
+    positions: Float64[F64, "verts 3"], vertex_range: tuple[int, int]
+) -> Float64[F64, "2 3"]:
+    """Return the bounds that automatic framing fills the picture with: those of one part.
+
+    The object, that is, not the receiver under it.
+    """
+    own = positions[slice(*vertex_range)]
+    return np.stack([own.min(axis=0), own.max(axis=0)])
+
+
 def depth_range(view: Pinhole, bounds: Float64[F64, "2 3"]) -> tuple[float, float]:
     """Near and far distances along the view that hold the bounds, at most 1 to 10,000 apart."""
     depths = (view.eye - _corners(bounds)) @ view.back
@@ -138,4 +149,4 @@ def _distance(bounds: F64, right: F64, up: F64, back: F64, tan_x: float, tan_y: 
 
 def _corners(bounds: F64) -> F64:
     pick = np.array([[i >> k & 1 for k in range(3)] for i in range(8)])
-    return bounds[pick, np.arange(3)]
+    return np.asarray(bounds[pick, np.arange(3)])

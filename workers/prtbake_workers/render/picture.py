@@ -20,7 +20,7 @@ class Visibility:
 
 @dataclass(frozen=True)
 class Picture:
-    """Linear radiance, pre-multiplied by ``coverage``, the share of a pixel that the asset fills."""
+    """Linear radiance, pre-multiplied by ``coverage``: the share of a pixel the asset fills."""
 
     radiance: Float32[F32, "height width 3"]
     coverage: Float32[F32, "height width"]

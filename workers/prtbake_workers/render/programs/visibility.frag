@@ -1,0 +1,8 @@
+#version 430 core
+// The visibility buffer: which triangle (counted from 1, exact below 2^24) and where on it.
+in vec3 barycentrics;
+layout(location = 0) out vec4 seen;
+
+void main() {
+    seen = vec4(float(gl_PrimitiveID + 1), barycentrics);
+}
