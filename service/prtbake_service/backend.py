@@ -1,6 +1,7 @@
 """What the endpoints stand on: records, blobs and queue, opened once a process."""
 
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -23,7 +24,13 @@ from prtbake_storage.records import (
 
 @dataclass(frozen=True)
 class Backend:
-    """The service's view of the storage."""
+    """The service's view of the storage.
+
+    Attributes
+    ----------
+    closing
+        Set when the process has been asked to leave: whoever waits for something answers at once.
+    """
 
     settings: ServiceSettings
     database: Database
@@ -36,6 +43,7 @@ class Backend:
     blobs: BlobStore
     queue: JobQueue
     metrics: Metrics
+    closing: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
     def open(cls, settings: ServiceSettings, metrics: Metrics) -> "Backend":

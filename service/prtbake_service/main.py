@@ -2,16 +2,34 @@
 
 import logging
 import socket
+from types import FrameType
 
 import uvicorn
+from fastapi import FastAPI
 
 from prtbake_service.app import create_app
+from prtbake_service.backend import Backend
 from prtbake_service.middleware import REQUEST_ID
 from prtbake_service.settings import ServiceSettings
 from prtbake_storage.queue.logs import configure_logging
 
 GRACE_S = 3
 """Open event streams would hold a shutdown up for ever; clients take them up again."""
+
+
+class PoliteServer(uvicorn.Server):
+    """Tell those who wait for something before connections are closed on them."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to leave on SIGINT or SIGTERM."""
+        backend = getattr(self._app.state, "backend", None)
+        if isinstance(backend, Backend):
+            backend.closing.set()
+        super().handle_exit(sig, frame)
 
 
 def add_request_id(record: logging.LogRecord) -> bool:
@@ -29,8 +47,9 @@ def main() -> None:
         handler.addFilter(add_request_id)
     for noisy in ("alembic", "httpx"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+    app = create_app(settings)
     config = uvicorn.Config(
-        create_app(settings),
+        app,
         host=settings.host,
         port=settings.port,
         log_config=None,
@@ -40,7 +59,7 @@ def main() -> None:
     )
     sockets = None if settings.fd is None else [socket.socket(fileno=settings.fd)]
     logging.getLogger(__name__).info("service.start", extra={"blobs": settings.blobs})
-    uvicorn.Server(config).run(sockets=sockets)
+    PoliteServer(config, app).run(sockets=sockets)
 
 
 if __name__ == "__main__":

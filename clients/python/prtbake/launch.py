@@ -27,6 +27,7 @@ START_S = 60.0
 """A cold start imports the engine and migrates the database: 3 s on a quiet machine."""
 STOP_S = 20.0
 """Workers hand their tiles back and leave within 15 s, or are killed by their supervisor."""
+LOG_LINES = 8
 LOCK_FILE = "serve.lock"
 _PR_SET_PDEATHSIG = 1
 
@@ -202,20 +203,29 @@ class LocalService:
                 if (name := self.ended()) is not None:
                     raise self._early_end(name)
                 try:
-                    if http.get("/readyz").status_code == 200:
+                    answer = http.get("/readyz")
+                    # a service whose workers die at their start would wait for ever
+                    if answer.status_code == 200 and answer.json()["workers"] > 0:
                         return
                 except httpx.TransportError:
                     pass
                 time.sleep(0.1)
-        raise LaunchError(f"the service was not ready after {START_S:.0f} s; see {self._where()}")
+        raise LaunchError(
+            f"service and workers were not ready after {START_S:.0f} s; see {self._where()}"
+            + self._tail("workers")
+        )
 
     def _early_end(self, name: str) -> LaunchError:
         code = self._processes[name].returncode
-        tail = ""
-        if not self._verbose and self._log(name).exists():
-            lines = self._log(name).read_text(errors="replace").splitlines()[-5:]
-            tail = "\n" + "\n".join(lines)
-        return LaunchError(f"the {name} ended with status {code}; see {self._where()}{tail}")
+        return LaunchError(
+            f"the {name} ended with status {code}; see {self._where()}{self._tail(name)}"
+        )
+
+    def _tail(self, name: str) -> str:
+        if self._verbose or not self._log(name).exists():
+            return ""
+        lines = self._log(name).read_text(errors="replace").splitlines()[-LOG_LINES:]
+        return "".join(f"\n  {line}" for line in lines)
 
     def _where(self) -> str:
         return "above" if self._verbose else str(self.data_dir / "logs")

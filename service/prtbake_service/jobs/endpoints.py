@@ -61,6 +61,7 @@ async def estimate(request: JobRequest, service: ServiceDep, backend: BackendDep
     job = await wait_until(
         lambda: service.get(job.id),
         lambda found: found.state.terminal,
+        closing=backend.closing,
         at_most=backend.settings.parse_wait,
         every=backend.settings.poll_every,
     )
@@ -119,6 +120,7 @@ async def get_job(
     job = await wait_until(
         lambda: service.get(job_id),
         changed,
+        closing=backend.closing,
         at_most=min(timedelta(seconds=min(wait, 3600.0)), backend.settings.long_poll_max),
         every=backend.settings.poll_every,
     )
@@ -142,6 +144,7 @@ async def job_events(
     service: ServiceDep,
     backend: BackendDep,
     *,
+    follow: Annotated[bool, Query(description="go on until the job ends")] = True,
     last_event_id: Annotated[int | None, Header(ge=0, lt=2**63)] = None,
 ) -> Response:
     """Follow a job: its whole history or what came after ``Last-Event-ID``, then what comes."""
@@ -151,7 +154,7 @@ async def job_events(
         # an EventSource that is told 204 stops connecting again
         return Response(status_code=204)
     return StreamingResponse(
-        stream_events(backend, job_id, after),
+        stream_events(backend, job_id, after, follow=follow),
         media_type="text/event-stream",
         # no proxy may hold events back to compress or buffer them
         headers={"Cache-Control": "no-store, no-transform", "X-Accel-Buffering": "no"},

@@ -19,7 +19,9 @@ def encode(event: Event) -> bytes:
     return f"id: {event.id}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n".encode()
 
 
-async def stream_events(backend: Backend, job_id: str, after: int) -> AsyncIterator[bytes]:
+async def stream_events(
+    backend: Backend, job_id: str, after: int, *, follow: bool
+) -> AsyncIterator[bytes]:
     """Yield what happened after an event, then what happens, until the job has ended."""
     yield f"retry: {RECONNECT_MS}\n\n".encode()
     last = after
@@ -33,7 +35,7 @@ async def stream_events(backend: Backend, job_id: str, after: int) -> AsyncItera
         if events:
             spoken = time.monotonic()
             continue
-        if ended:
+        if ended or not follow or backend.closing.is_set():
             return
         if time.monotonic() - spoken >= heartbeat_s:
             yield HEARTBEAT

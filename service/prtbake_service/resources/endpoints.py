@@ -71,6 +71,7 @@ async def _register(
     resource = await wait_until(
         lambda: service.get(resource.id),
         _is_parsed,
+        closing=backend.closing,
         at_most=backend.settings.parse_wait,
         every=POLL,
     )
@@ -102,6 +103,7 @@ def _reader(kind: ResourceKind) -> Callable[..., object]:
         return await wait_until(
             lambda: service.get(resource_id),
             _is_parsed,
+            closing=backend.closing,
             at_most=min(timedelta(seconds=min(wait, 3600.0)), backend.settings.long_poll_max),
             every=backend.settings.poll_every,
         )

@@ -46,9 +46,7 @@ def logs(
 ) -> None:
     """Print a job's history: states, progress and log lines; with -o json one event a line."""
     with client_of(context) as client:
-        # the stream ends with the job; without --follow its last event so far is where to stop
-        events = client.events(job) if follow else client.history(job)
-        for event in events:
+        for event in client.events(job, follow=follow):
             if output is Output.json:
                 typer.echo(event.model_dump_json())
             else:

@@ -46,5 +46,6 @@ def serve(
 
 
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Handle a signal as Ctrl-C is handled."""
     del number, frame
     raise KeyboardInterrupt
