@@ -54,8 +54,13 @@ def half_vector(wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]) -> HalfVec
     """Give the angles of the half vector; finite for opposite directions too."""
     x, y, z = (wi[..., axis] + wo[..., axis] for axis in range(3))
     planar = x * x + y * y
-    length = np.maximum(np.sqrt(planar + z * z), LENGTH_FLOOR)
-    return HalfVector(z / length, planar / (length * length), np.minimum(0.5 * length, 1.0))
+    length = np.sqrt(planar + z * z)
+    # where the sum vanishes, h is the normal: the limit of equal cosines and opposite azimuths
+    vanishes = length < LENGTH_FLOOR
+    divisor = np.where(vanishes, 1.0, length)
+    cos_h = np.where(vanishes, 1.0, z / divisor)
+    sin2_h = np.where(vanishes, 0.0, planar / (divisor * divisor))
+    return HalfVector(cos_h, sin2_h, np.minimum(0.5 * length, 1.0))
 
 
 def above_horizon(wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]) -> Bool[B8, "..."]:

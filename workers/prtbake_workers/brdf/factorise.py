@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.arrays import F32, F64, Float64
@@ -73,7 +74,20 @@ def factorise(
         raise SettingsError(f"energy_lost must lie between 0 and 1, got {energy_lost}")
     grid = HemisphereGrid(n_theta, n_phi)
     _check_isotropy(brdf)
-    blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, n_phi)
+    # the blocks are small, and the number of threads would change the last bits
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _factorise(brdf, grid, n_terms, energy_lost, max_terms, n_nodes)
+
+
+def _factorise(
+    brdf: Brdf,
+    grid: HemisphereGrid,
+    n_terms: int | None,
+    energy_lost: float | None,
+    max_terms: int,
+    n_nodes: int,
+) -> Factorisation:
+    blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
     if _is_constant(blocks):
         return _constant(blocks[0][0, 0] / (2.0 * np.pi), grid, brdf, n_terms, n_nodes)
 

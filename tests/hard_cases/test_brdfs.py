@@ -1,0 +1,119 @@
+"""Grazing, normal, equal and opposite directions, in every BRDF and at the ends of its range."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.brdf import (
+    BlinnPhongSpec,
+    CookTorranceSpec,
+    GgxSpec,
+    LambertSpec,
+    PhongSpec,
+)
+from prtbake_workers.brdf.base import COSINE_FLOOR
+from prtbake_workers.brdf.checks import check_energy, check_reciprocity
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.brdf.registry import brdf_from_spec
+
+EXTREMES = {
+    "lambert_black": LambertSpec(albedo=0.0),
+    "lambert_white": LambertSpec(albedo=1.0),
+    "phong_flat": PhongSpec(exponent=1.0),
+    "phong_sharp": PhongSpec(exponent=10_000.0),
+    "blinn_phong_flat": BlinnPhongSpec(exponent=1.0),
+    "blinn_phong_sharp": BlinnPhongSpec(exponent=10_000.0),
+    "cook_torrance_smooth": CookTorranceSpec(m=0.01),
+    "cook_torrance_rough": CookTorranceSpec(m=2.0),
+    "cook_torrance_white": CookTorranceSpec(kd=0.0, ks=1.0, m=0.1, f0=1.0),
+    "cook_torrance_no_f0": CookTorranceSpec(kd=0.0, ks=1.0, m=0.5, f0=0.0),
+    "cook_torrance_coloured": CookTorranceSpec(kd=0.0, ks=1.0, m=0.01, f0=(1.0, 0.8, 0.0)),
+    "ggx_smooth": GgxSpec(alpha=0.01, f0=1.0),
+    "ggx_rough": GgxSpec(alpha=1.0, f0=1.0),
+}
+TINY = [1e-300, 1e-30, 1e-12, COSINE_FLOOR, 1e-4, 1e-2]
+
+
+def at(cos, phi=0.0):
+    cos = np.asarray(cos, np.float64)
+    sine = np.sqrt(1 - cos * cos)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), cos], axis=-1)
+
+
+@pytest.fixture(params=EXTREMES)
+def brdf(request):
+    return brdf_from_spec(EXTREMES[request.param])
+
+
+def finite_and_not_negative(value):
+    return bool(np.isfinite(value).all() and (value >= 0.0).all())
+
+
+def test_grazing_light_and_grazing_view(brdf):
+    cosines = np.array([*TINY, 0.3, 0.9, 1.0])
+    for phi in (0.0, 1e-9, 1.0, np.pi / 2, np.pi - 1e-9, np.pi):
+        value = brdf.eval_brdf(at(cosines)[:, None], at(cosines, phi)[None])
+        assert finite_and_not_negative(value)
+        # what a pixel or a vertex sees carries the cosines: bounded by the largest lobe there is
+        radiance = value * cosines[:, None, None] * cosines[:, None]
+        assert radiance.max() < 4e3
+    assert finite_and_not_negative(value.astype(np.float32))
+
+
+def test_normal_incidence_and_normal_view(brdf):
+    up = at([1.0])
+    assert finite_and_not_negative(brdf.eval_brdf(up, up))
+    around = at(np.linspace(0.01, 1, 50))
+    turned = at(np.linspace(0.01, 1, 50), 2.0)
+    # at normal incidence the azimuth does not exist
+    np.testing.assert_allclose(brdf.eval_brdf(up, around), brdf.eval_brdf(up, turned), rtol=1e-9)
+
+
+def test_equal_directions(brdf):
+    wi = at([*TINY, 0.5, 1.0])
+    assert finite_and_not_negative(brdf.eval_brdf(wi, wi))
+
+
+def test_opposite_directions(brdf):
+    """On the horizon the half vector vanishes; off it one of the two lies below."""
+    horizon = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+    assert not brdf.eval_brdf(horizon, -horizon).any()
+    # nothing but rounding keeps these two from being opposite
+    above = at([1e-300, 1e-17])
+    assert finite_and_not_negative(brdf.eval_brdf(above, at([1e-300, 1e-17], np.pi)))
+    wi = at([0.5, 1.0])
+    assert not brdf.eval_brdf(wi, -wi).any()
+
+
+def test_at_and_below_the_horizon_nothing(brdf):
+    up, edge = at([0.3, 1.0]), at([0.0, 0.0], 1.0)
+    for down in (edge, -edge, at([-1e-300, -0.5], 1.0), at([-1.0, -1e-6], 1.0)):
+        assert not brdf.eval_brdf(up, down).any()
+        assert not brdf.eval_brdf(down, up).any()
+
+
+def test_every_extreme_but_black_has_its_mirror_peak(brdf):
+    """Twin of the zeros above: they are not there because nothing reflects."""
+    mirrored = brdf.eval_brdf(at([1e-3, 0.3, 0.8]), at([1e-3, 0.3, 0.8], np.pi))
+    black = isinstance(brdf, Lambert) and not brdf.albedo.any()
+    assert (mirrored.max(axis=1) > 0).all() != black
+
+
+def test_extremes_are_reciprocal_and_create_no_light(brdf):
+    assert check_reciprocity(brdf, n_pairs=500).reciprocal
+    report = check_energy(brdf, n_angles=5)
+    assert report.conserves
+    assert np.isfinite(report.max_albedo)
+
+
+def test_extremes_factorise(brdf):
+    found = factorise(brdf, n_terms=16, n_nodes=33)
+    w = np.concatenate([at(TINY), at([0.0, -0.5, 0.5, 1.0], 1.0), at(TINY, 3.0)])
+    for side in (found.eval_psi, found.eval_phi, found.eval_psi_exact, found.eval_phi_exact):
+        value = side(w)
+        assert np.isfinite(value).all()
+        assert not value[w[:, 2] <= 0].any()
+    fast = found.psi_lookup(*w.astype(np.float32).T.copy())
+    assert np.isfinite(fast).all()
+    assert np.isfinite(found.singular_values).all()
+    assert 0.0 <= found.energy_lost < 1.0
