@@ -30,7 +30,7 @@ def test_one_cluster_reaches_the_error_of_partial_tucker(glossy):
         glossy.astype(float),
         rank=[RANKS.vert, RANKS.view, RANKS.light],
         modes=[0, 1, 2],
-        n_iter_max=100,
+        n_iter_max=60,
         tol=1e-10,
     )
     oracle = np.sum(glossy.astype(float) ** 2) - np.sum(core**2)
@@ -73,8 +73,7 @@ def test_bases_are_orthonormal(model):
         np.testing.assert_allclose(dual[:vert] @ dual[:vert].T, np.eye(vert), atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("n_clusters", [1, 4, 20])
+@pytest.mark.parametrize(("n_clusters", "seed"), [(1, 0), (4, 1), (9, 2), (20, 3)])
 def test_objective_never_rises(glossy, n_clusters, seed):
     model = compress_cta(glossy, n_clusters, RANKS, seed=seed)
     assert len(model.objective) == model.iterations > 1

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from prtbake_workers.compress.lbg import lbg, members_by_cluster, split_in_two, weighted_mean
+from prtbake_workers.compress.clusters import members_by_cluster
+from prtbake_workers.compress.lbg import lbg
 
 
 def _run(signal, n_clusters, *, seed=0, weights=None, max_iterations=50, tolerance=0.0):
@@ -82,19 +83,3 @@ def test_no_cluster_stays_empty_while_points_differ(rng):
     result = _run(signal, 13)
     assert len(np.unique(result.labels)) == 13
     assert result.objective[-1] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_split_separates_two_groups_and_refuses_one_point(rng):
-    signal = np.concatenate([np.zeros((5, 4)), np.ones((3, 4))]).astype(np.float32)
-    second = split_in_two(signal, np.ones(8))
-    assert second is not None
-    assert len(set(second[:5].tolist())) == 1
-    assert second[0] != second[5]
-    assert split_in_two(signal[:5], np.ones(5)) is None
-    assert split_in_two(signal[:1], np.ones(1)) is None
-
-
-def test_mean_of_vertices_without_weight_is_the_plain_mean(rng):
-    signal = rng.standard_normal((6, 4)).astype(np.float32)
-    mean = weighted_mean(signal, np.zeros(6))
-    np.testing.assert_allclose(mean, signal.mean(axis=0), rtol=1e-5, atol=1e-7)

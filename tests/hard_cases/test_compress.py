@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress import cta
+from prtbake_workers.compress.clusters import refill_empty_clusters
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 
@@ -225,6 +227,28 @@ def test_weights_that_are_refused(method, transfer, weights, message):
     with pytest.raises(SettingsError, match=message) as caught:
         _compress(method, transfer, vertex_weights=weights)
     assert caught.value.pointer == "/vertex_weights"
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_clusters_that_run_empty_are_filled_again(seed, monkeypatch):
+    # Vertices that differ by a factor start in different clusters and then share one.
+    rng = np.random.default_rng(seed)
+    families = rng.standard_normal((5, 6, 20))[np.arange(80) % 5]
+    factor = 3.0 * rng.standard_normal((80, 1, 1))
+    noise = 0.02 * rng.standard_normal(families.shape)
+    filled = []
+
+    def watched(*arguments):
+        found = refill_empty_clusters(*arguments)
+        filled.extend(found)
+        return found
+
+    monkeypatch.setattr(cta, "refill_empty_clusters", watched)
+    model = _compress(
+        "cta", (families * factor + noise).astype(np.float32), 16, ranks=CtaRanks(4, 6, 1)
+    )
+    assert filled
+    assert model.n_clusters == 16
 
 
 @both

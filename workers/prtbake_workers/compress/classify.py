@@ -12,8 +12,8 @@ import numpy as np
 
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
+from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.energy import row_chunks
-from prtbake_workers.compress.lbg import members_by_cluster
 
 # The classes' product is as wide as all clusters' ranks together; so many vertices at a time keep
 # it at some 20 MiB while the product still runs at full speed.

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.cpca_model import CpcaModel
-from prtbake_workers.compress.energy import row_energy
+from prtbake_workers.compress.energy import row_energy, row_energy_by_chunks
 from prtbake_workers.compress.gram_eigh import leading_row_space
 from prtbake_workers.compress.inputs import (
     checked_count,
@@ -21,7 +22,7 @@ from prtbake_workers.compress.inputs import (
     checked_vertex_weights,
     clipped,
 )
-from prtbake_workers.compress.lbg import lbg, members_by_cluster, row_energy_by_chunks
+from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_clusters
 

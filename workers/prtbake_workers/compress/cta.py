@@ -24,19 +24,16 @@ from prtbake_workers.compress.cluster_factors import (
     vertex_basis,
     vertex_step,
 )
+from prtbake_workers.compress.clusters import members_by_cluster, refill_empty_clusters
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
+from prtbake_workers.compress.energy import row_energy_by_chunks
 from prtbake_workers.compress.inputs import (
     checked_count,
     checked_signal,
     checked_vertex_weights,
     clipped,
 )
-from prtbake_workers.compress.lbg import (
-    lbg,
-    members_by_cluster,
-    row_energy_by_chunks,
-    split_in_two,
-)
+from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_clusters
 from prtbake_workers.compress.view_basis import (
@@ -265,22 +262,12 @@ class _Fit:
         self.trace.append(float(self.weights @ (self.view_errors + self.errors)))
 
     def _fill_empty_clusters(self) -> None:
-        """Give every empty cluster a part of the worst one that can be split, and its bases."""
-        sizes = np.bincount(self.labels, minlength=self.n_clusters)
+        """Give every empty cluster a part of the worst one, and that one's bases."""
         rows = self.z.reshape(len(self.z), -1)
-        for empty in np.flatnonzero(sizes == 0):
-            errors = np.bincount(
-                self.labels, weights=self.weights * self.errors, minlength=self.n_clusters
-            )
-            for donor in np.argsort(-errors, kind="stable"):
-                if errors[donor] <= 0.0:
-                    break
-                verts = np.flatnonzero(self.labels == donor)
-                second = split_in_two(rows[verts], self.weights[verts])
-                if second is not None:
-                    self.labels[verts[second]] = empty
-                    self.factors[empty] = self.factors[donor]
-                    break
+        for cluster, donor in refill_empty_clusters(
+            rows, self.labels, self.errors, self.weights, self.n_clusters
+        ):
+            self.factors[cluster] = self.factors[donor]
 
     def model(self, seed: int, notes: list[str]) -> CtaModel:
         """Return the fitted model without empty clusters."""

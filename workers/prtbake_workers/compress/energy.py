@@ -30,3 +30,8 @@ def row_energy(rows: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
     energy = np.einsum("vbj,vbj->vb", runs, runs).sum(axis=1, dtype=np.float64)
     rest = rows[:, whole:]
     return np.asarray(energy + np.einsum("vj,vj->v", rest, rest), dtype=np.float64)
+
+
+def row_energy_by_chunks(signal: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
+    """Return the squared norm of each row, without a copy of the whole signal."""
+    return np.concatenate([row_energy(signal[chunk]) for chunk in row_chunks(signal)])

@@ -10,8 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
-from prtbake_workers.compress.energy import row_chunks, row_energy
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.compress.clusters import (
+    members_by_cluster,
+    refill_empty_clusters,
+    weighted_mean,
+)
+from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
 
 # Seeds are drawn from this many vertices a cluster: enough to meet every region of the signal,
@@ -19,7 +24,6 @@ from prtbake_workers.compress.monotone import ObjectiveTrace
 SEED_VERTS_PER_CLUSTER = 24
 # Squared distances below this share of the two squared norms are float32 rounding: the same point.
 SAME_POINT = 1e-6
-SPLIT_ITERATIONS = 3
 
 
 class LbgResult(NamedTuple):
@@ -80,7 +84,7 @@ def lbg(
     trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
     for _ in range(max_iterations):
         n_moved = _classify(signal, state)
-        _fill_empty_clusters(signal, state, weights)
+        refill_empty_clusters(signal, state.labels, state.squared_distances, weights, n_clusters)
         _update_means(signal, state, weights)
         trace.append(float(weights @ state.squared_distances))
         if n_moved == 0 or trace.has_converged(tolerance):
@@ -93,53 +97,6 @@ class _Clustering:
     labels: I32
     means: F32
     squared_distances: F64
-
-
-def members_by_cluster(labels: Int32[I32, " verts"], n_clusters: int) -> list[I32]:
-    """Return the vertices of each cluster, rising."""
-    order = np.argsort(labels, kind="stable").astype(np.int32)
-    ends = np.cumsum(np.bincount(labels, minlength=n_clusters))
-    return [order[a:b] for a, b in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)]
-
-
-def row_energy_by_chunks(signal: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
-    """Return the squared norm of each row, without a copy of the whole signal."""
-    return np.concatenate([row_energy(signal[chunk]) for chunk in row_chunks(signal)])
-
-
-def weighted_mean(
-    signal: Float32[F32, "verts dims"], weights: Float64[F64, " verts"]
-) -> Float32[F32, " dims"]:
-    """Return the weighted mean of the rows; the plain mean where every weight is zero."""
-    if not weights.any():
-        weights = np.ones(len(weights))
-    mean = (weights / weights.sum()) @ signal.astype(np.float64)
-    return np.asarray(mean, dtype=np.float32)
-
-
-def split_in_two(
-    signal: Float32[F32, "verts dims"], weights: Float64[F64, " verts"]
-) -> Bool[B8, " verts"] | None:
-    """Cut rows into two groups by a short 2-means, or return None where all rows are the same.
-
-    It starts from the row farthest from the mean and the row farthest from that one.
-    """
-    if len(signal) < 2:
-        return None
-    from_mean = row_energy(signal - weighted_mean(signal, weights))
-    one = signal[int(np.argmax(from_mean))]
-    other = signal[int(np.argmax(row_energy(signal - one)))]
-    if np.array_equal(one, other):
-        return None
-    second = np.zeros(len(signal), dtype=np.bool_)
-    for _ in range(SPLIT_ITERATIONS):
-        nearer_other = row_energy(signal - other) < row_energy(signal - one)
-        if nearer_other.all() or not nearer_other.any():
-            break
-        second = nearer_other
-        one = weighted_mean(signal[~second], weights[~second])
-        other = weighted_mean(signal[second], weights[second])
-    return second if second.any() else None
 
 
 def _seed_means(
@@ -200,30 +157,6 @@ def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
         best[movers] = distance
         n_moved += len(movers)
     return n_moved
-
-
-def _fill_empty_clusters(
-    signal: Float32[F32, "verts dims"], state: _Clustering, weights: Float64[F64, " verts"]
-) -> None:
-    """Give every empty cluster a part of the one with the largest error that can be split."""
-    n_clusters = len(state.means)
-    sizes = np.bincount(state.labels, minlength=n_clusters)
-    for empty in np.flatnonzero(sizes == 0):
-        errors = np.bincount(
-            state.labels, weights=weights * state.squared_distances, minlength=n_clusters
-        )
-        for donor in np.argsort(-errors, kind="stable"):
-            if errors[donor] <= 0.0:
-                break
-            members = np.flatnonzero(state.labels == donor)
-            second = split_in_two(signal[members], weights[members])
-            if second is None:
-                continue
-            state.labels[members[second]] = empty
-            for cluster, part in ((donor, members[~second]), (empty, members[second])):
-                state.means[cluster] = weighted_mean(signal[part], weights[part])
-                state.squared_distances[part] = row_energy(signal[part] - state.means[cluster])
-            break
 
 
 def _update_means(
