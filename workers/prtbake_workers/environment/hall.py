@@ -66,7 +66,7 @@ def _radiance(directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dirs 3"]:
     result[window] = _WINDOW_RADIANCE
     lamp = ceiling & (np.hypot(x, _from_nearest(z, _LAMP_PITCH)) < _LAMP_RADIUS)
     result[lamp] = _LAMP_RADIANCE
-    return result
+    return np.asarray(result)
 
 
 def _from_nearest(position: Float64[F64, " dirs"], pitch: float) -> Float64[F64, " dirs"]:

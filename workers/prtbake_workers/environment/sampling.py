@@ -86,10 +86,11 @@ class EnvironmentSampler:
         """
         height, width = self._environment.height, self._environment.width
         start = np.where(texels > 0, self._cumulative[texels - 1], 0.0)
-        share = np.clip((along - start) / (self._cumulative[texels] - start), 0.0, 1.0 - 1e-9)
+        share = (along - start) / (self._cumulative[texels] - start)
         row, column = np.divmod(texels, width)
-        azimuth = (column + share) * (2 * np.pi / width) - np.pi
         top, bottom = np.cos(row / height * np.pi), np.cos((row + 1) / height * np.pi)
-        # a hair inside both edges, or rounding would place the sample in the next texel
-        cos_polar = top + (bottom - top) * np.clip(across, 1e-9, 1.0 - 1e-9)
+        # a hair inside the edges, or rounding would place the sample in the next texel
+        share, across = (np.clip(s, 1e-9, 1.0 - 1e-9) for s in (share, across))
+        azimuth = (column + share) * (2 * np.pi / width) - np.pi
+        cos_polar = top + (bottom - top) * across
         return directions_from_angles(azimuth, cos_polar)

@@ -30,15 +30,41 @@ _SUN_POINTS = 64
 # Perez coefficients A to E of luminance Y and chromaticity x, y: slope with turbidity, intercept.
 # [Preetham1999] appendix A.2
 _PEREZ = {
-    "Y": ((0.1787, -1.4630), (-0.3554, 0.4275), (-0.0227, 5.3251), (0.1206, -2.5771), (-0.0670, 0.3703)),
-    "x": ((-0.0193, -0.2592), (-0.0665, 0.0008), (-0.0004, 0.2125), (-0.0641, -0.8989), (-0.0033, 0.0452)),
-    "y": ((-0.0167, -0.2608), (-0.0950, 0.0092), (-0.0079, 0.2102), (-0.0441, -1.6537), (-0.0109, 0.0529)),
-}  # fmt: skip
+    "Y": (
+        (0.1787, -1.4630),
+        (-0.3554, 0.4275),
+        (-0.0227, 5.3251),
+        (0.1206, -2.5771),
+        (-0.0670, 0.3703),
+    ),
+    "x": (
+        (-0.0193, -0.2592),
+        (-0.0665, 0.0008),
+        (-0.0004, 0.2125),
+        (-0.0641, -0.8989),
+        (-0.0033, 0.0452),
+    ),
+    "y": (
+        (-0.0167, -0.2608),
+        (-0.0950, 0.0092),
+        (-0.0079, 0.2102),
+        (-0.0441, -1.6537),
+        (-0.0109, 0.0529),
+    ),
+}
 # Zenith chromaticity: rows for T^2, T, 1; columns for theta^3, theta^2, theta, 1
 _ZENITH = {
-    "x": ((0.00166, -0.00375, 0.00209, 0.0), (-0.02903, 0.06377, -0.03202, 0.00394), (0.11693, -0.21196, 0.06052, 0.25886)),
-    "y": ((0.00275, -0.00610, 0.00317, 0.0), (-0.04214, 0.08970, -0.04153, 0.00516), (0.15346, -0.26756, 0.06670, 0.26688)),
-}  # fmt: skip
+    "x": (
+        (0.00166, -0.00375, 0.00209, 0.0),
+        (-0.02903, 0.06377, -0.03202, 0.00394),
+        (0.11693, -0.21196, 0.06052, 0.25886),
+    ),
+    "y": (
+        (0.00275, -0.00610, 0.00317, 0.0),
+        (-0.04214, 0.08970, -0.04153, 0.00516),
+        (0.15346, -0.26756, 0.06670, 0.26688),
+    ),
+}
 _XYZ_TO_RGB = np.array(
     [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
 )
@@ -93,7 +119,7 @@ def sun_sky(width: int, sun_elevation_deg: float, sun_azimuth_deg: float) -> Env
 def sun_direction(elevation_deg: float, azimuth_deg: float) -> Float64[F64, " 3"]:
     """Give the unit direction of an elevation and an azimuth (from -z towards +x)."""
     sine = np.array([np.sin(np.radians(elevation_deg))])
-    return directions_from_angles(np.array([np.radians(azimuth_deg)]), sine)[0]
+    return np.asarray(directions_from_angles(np.array([np.radians(azimuth_deg)]), sine)[0])
 
 
 def _preetham(
@@ -111,8 +137,8 @@ def _preetham(
     for name, rows in _ZENITH.items():
         zenith[name] = float(np.array([t * t, t, 1.0]) @ np.array(rows) @ powers)
     value = {}
-    for name, rows in _PEREZ.items():
-        a, b, c, d, e = (slope * t + intercept for slope, intercept in rows)
+    for name, coefficients in _PEREZ.items():
+        a, b, c, d, e = (slope * t + intercept for slope, intercept in coefficients)
         here = (1 + a * np.exp(b / cos_theta)) * (
             1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2
         )

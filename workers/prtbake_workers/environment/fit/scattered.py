@@ -1,0 +1,219 @@
+"""The scattered SRBF fit: peaks apart, coarse to fine, all together at the end."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from prtbake_storage.errors import EnvironmentError_, SettingsError
+from prtbake_workers.arrays import F64, Float, Float64
+from prtbake_workers.environment.environment import LUMINANCE, Environment
+from prtbake_workers.environment.fit.cells import (
+    Cells,
+    adaptive_cells,
+    environment_texels,
+    even_cells,
+)
+from prtbake_workers.environment.fit.guess import guess_lobes
+from prtbake_workers.environment.fit.objective import Lobes, SquaredError, solve_over
+from prtbake_workers.environment.fit.peaks import fit_peaks, split_peaks
+from prtbake_workers.environment.fit.refine import refine
+
+Progress = Callable[[float, str], None]
+
+PEAK_SHARE = 3
+"""At most one lobe in so many goes to suns and lamps."""
+
+_ENOUGH_GAIN = 0.01
+"""Relative gain of a round below which the rounds on one level end."""
+
+
+class ScatteredFit(NamedTuple):
+    """L(w) ~ sum_j coefficients_j exp(bandwidths_j (w . centres_j - 1)), eq. (21) of [Tsai2006]_.
+
+    ``coefficients`` (R, G, B) may be negative, and so may the sum: the fit is the best in squared
+    radiance, not a light that could exist.  ``error`` is the squared error over the squared
+    radiance, both integrated over the sphere and summed over the channels; ``power_ratio`` the
+    luminance that the lobes send out in all over that of the light; ``n_peak_lobes`` how many
+    lobes began on suns and lamps; ``errors`` the error after each stage, on that stage's cells.
+    """
+
+    centres: Float64[F64, "lobes 3"]
+    bandwidths: Float64[F64, " lobes"]
+    coefficients: Float64[F64, "lobes 3"]
+    error: float
+    power_ratio: float
+    n_peak_lobes: int
+    errors: dict[str, float]
+
+
+def fit_environment(
+    environment: Environment,
+    n_lobes: int,
+    *,
+    seed: int,
+    max_iterations: int = 6,
+    progress: Progress | None = None,
+) -> ScatteredFit:
+    """Fit a map that is constant over its texels, the bright ones split for the quadrature.
+
+    See ``fit_scattered_srbf`` for the parameters.
+    """
+    return _fit(
+        environment_texels(environment), n_lobes, seed, max_iterations, progress or _no_progress
+    )
+
+
+def fit_scattered_srbf(
+    radiance: Float[np.ndarray, "texels 3"],
+    directions: Float[np.ndarray, "texels 3"],
+    solid_angles: Float[np.ndarray, " texels"],
+    n_lobes: int,
+    *,
+    seed: int,
+    max_iterations: int = 6,
+    progress: Progress | None = None,
+) -> ScatteredFit:
+    """Fit scattered Gaussian SRBFs to samples of the light, minimising eq. (20) of [Tsai2006]_.
+
+    Peaks (suns, lamps) are taken off and get lobes of their own, seeded at the largest residuals.
+    The rest follows section 5.3: first guess by coverage and a priority queue; L-BFGS-B on the
+    centres, then on the bandwidths, in rounds; then finer cells with both free; the coefficients
+    are solved (RLS) at every evaluation.  A last pass moves all lobes on the whole light, and the
+    coefficients and the error are computed on the samples as they were given.
+
+    Parameters
+    ----------
+    radiance, directions, solid_angles
+        Samples of the light; directions are unit vectors, solid angles in sr sum to about 4 pi.
+        Where the light is a sun of a few texels the samples should be about as dense in every
+        direction; ``fit_environment`` splits texels to that end.
+    n_lobes
+        Number of lobes, at least 1.  Time grows with its square.
+    seed
+        Breaks ties of the first guess; equal arguments give equal results.
+    max_iterations
+        Rounds of centres and bandwidths on the coarsest level, at least 1; each finer pass takes
+        at most 8 times as many steps.
+    progress
+        Called with the share done and the stage's name.
+
+    Raises
+    ------
+    SettingsError
+        If ``n_lobes`` or ``max_iterations`` is below 1.
+    EnvironmentError_
+        If a sample is not finite or negative, or a solid angle is not positive; names it.
+    """
+    return _fit(
+        Cells(*(np.asarray(a, dtype=np.float64) for a in (directions, radiance, solid_angles))),
+        n_lobes,
+        seed,
+        max_iterations,
+        progress or _no_progress,
+    )
+
+
+def _fit(
+    texels: Cells, n_lobes: int, seed: int, max_iterations: int, progress: Progress
+) -> ScatteredFit:
+    _check(texels, n_lobes, max_iterations)
+    rng = np.random.default_rng(seed)
+    if texels.energy == 0.0:
+        lobes = guess_lobes(even_cells(texels, _face_cells(n_lobes, 3)), n_lobes, rng)
+        return ScatteredFit(*lobes, np.zeros((n_lobes, 3)), 0.0, 1.0, 0, {})
+    errors: dict[str, float] = {}
+    progress(0.0, "peaks")
+    base, peaks = texels, Lobes(np.zeros((0, 3)), np.zeros(0))
+    if n_lobes >= PEAK_SHARE:
+        clipped, excess = split_peaks(texels)
+        peaks = fit_peaks(excess, _power(texels), n_lobes // PEAK_SHARE)
+        if len(peaks.bandwidths):
+            base = clipped
+    progress(0.1, "coarse")
+    n_base = n_lobes - len(peaks.bandwidths)
+    lobes = guess_lobes(even_cells(base, _face_cells(n_base, 3)), n_base, rng)
+    lobes = _rounds(even_cells(base, _face_cells(n_base, 9)), lobes, max_iterations, errors)
+    steps = 8 * max_iterations
+    n_cells = _face_cells(n_base, 32)
+    progress(0.2, "fine")
+    lobes = _pass(even_cells(base, n_cells), lobes, steps, "fine", errors)
+    progress(0.45, "adaptive")
+    cells = adaptive_cells(base, n_cells, 96 * n_base + 4096)
+    lobes = _pass(cells, lobes, max(1, steps // 2), "adaptive", errors)
+    progress(0.7, "joint")
+    lobes = Lobes(*(np.concatenate(parts) for parts in zip(lobes, peaks, strict=True)))
+    cells = adaptive_cells(texels, _face_cells(n_lobes, 32), 64 * n_lobes + 4096)
+    lobes = _pass(cells, lobes, max(1, steps // 2), "joint", errors)
+    progress(0.9, "coefficients")
+    coefficients, error = solve_over(lobes, texels)
+    progress(1.0, "coefficients")
+    return ScatteredFit(
+        centres=lobes.centres,
+        bandwidths=lobes.bandwidths,
+        coefficients=coefficients,
+        error=error / texels.energy,
+        power_ratio=_lobe_power(lobes, coefficients) / _power(texels),
+        n_peak_lobes=len(peaks.bandwidths),
+        errors=errors,
+    )
+
+
+def _rounds(cells: Cells, lobes: Lobes, max_rounds: int, errors: dict[str, float]) -> Lobes:
+    """Move centres, then bandwidths, until a round gains little: steps 1 to 3 of section 5.3."""
+    objective = SquaredError(cells)
+    error = objective.project(lobes).error
+    errors["guess"] = error / cells.energy
+    for _ in range(max_rounds):
+        lobes = refine(objective, lobes, free="centres", max_steps=10)
+        lobes = refine(objective, lobes, free="bandwidths", max_steps=10)
+        before, error = error, objective.project(lobes).error
+        if before - error < _ENOUGH_GAIN * before:
+            break
+    errors["coarse"] = error / cells.energy
+    return lobes
+
+
+def _pass(cells: Cells, lobes: Lobes, steps: int, name: str, errors: dict[str, float]) -> Lobes:
+    """Move centres and bandwidths together: step 4 of section 5.3, on each level."""
+    objective = SquaredError(cells)
+    lobes = refine(objective, lobes, free="both", max_steps=steps)
+    errors[name] = objective.project(lobes).error / cells.energy
+    return lobes
+
+
+def _face_cells(n_lobes: int, cells_per_lobe: int) -> int:
+    """Choose the cells along a cube's edge for so many cells a lobe, between 8 and 96."""
+    return int(np.clip(round(np.sqrt(n_lobes * cells_per_lobe / 6)), 8, 96))
+
+
+def _power(texels: Cells) -> float:
+    """Integrate the luminance over the sphere."""
+    return float(texels.solid_angles @ (texels.radiance @ LUMINANCE))
+
+
+def _lobe_power(lobes: Lobes, coefficients: Float64[F64, "lobes 3"]) -> float:
+    """Sum the lobes' integrals, 2 pi (1 - exp(-2 lam)) / lam each."""
+    integrals = -2 * np.pi * np.expm1(-2 * lobes.bandwidths) / lobes.bandwidths
+    return float(integrals @ (coefficients @ LUMINANCE))
+
+
+def _check(texels: Cells, n_lobes: int, max_iterations: int) -> None:
+    if n_lobes < 1:
+        raise SettingsError(f"n_lobes is {n_lobes}: at least 1", pointer="/settings/n_lobes")
+    if max_iterations < 1:
+        raise SettingsError(
+            f"max_iterations is {max_iterations}: at least 1", pointer="/settings/max_iterations"
+        )
+    bad = ~(np.isfinite(texels.radiance) & (texels.radiance >= 0)).all(axis=1)
+    bad |= ~(texels.solid_angles > 0)
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise EnvironmentError_(
+            f"texel {i} has radiance {texels.radiance[i].tolist()} and solid angle "
+            f"{texels.solid_angles[i]}: finite, not negative and positive are needed"
+        )
+
+
+def _no_progress(_share: float, _stage: str) -> None:
+    """Report to nobody."""
