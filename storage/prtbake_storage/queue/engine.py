@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
 
-from prtbake_storage.records.database import create_engine, normalise_url
-from prtbake_storage.records.migrate import migration_lock
+from prtbake_storage.records.database import normalise_url
 
 APPLICATION = "prtbake"
 APPLICATION_VERSION = "prtbake-1"
@@ -76,10 +75,7 @@ def prepare(database_url: str) -> str:
         connection = sqlite3.connect(url.removeprefix("sqlite:///"), timeout=30.0)
         connection.execute("PRAGMA journal_mode=WAL")
         connection.close()
-    engine = create_engine(database_url)
-    with migration_lock(engine):
-        DBOS.migrate(url)
-    engine.dispose()
+    DBOS.migrate(url)  # it locks out other migrators itself, on both databases
     return url
 
 

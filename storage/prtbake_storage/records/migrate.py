@@ -18,23 +18,23 @@ def migrate(engine: sa.Engine) -> None:
     config = Config()
     config.set_main_option("script_location", _MIGRATIONS.replace("%", "%%"))
     config.set_main_option("path_separator", "os")
-    with migration_lock(engine), engine.begin() as connection:
+    with _alone(engine), engine.begin() as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 
 
 @contextmanager
-def migration_lock(engine: sa.Engine) -> Iterator[None]:
+def _alone(engine: sa.Engine) -> Iterator[None]:
     """Hold the migration lock: a file beside SQLite's, an advisory lock on PostgreSQL."""
     if engine.dialect.name == "sqlite":
         with Path(f"{engine.url.database}.migrating").open("w") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
         return
-    with engine.connect() as connection:
+    # outside a transaction: an open one would hold up a CREATE INDEX CONCURRENTLY for ever
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
         connection.execute(sa.select(sa.func.pg_advisory_lock(_LOCK)))
         try:
             yield
         finally:
             connection.execute(sa.select(sa.func.pg_advisory_unlock(_LOCK)))
-            connection.commit()
