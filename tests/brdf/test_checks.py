@@ -45,15 +45,15 @@ class OneSided:
 )
 def test_white_surfaces_reach_but_do_not_pass_one(spec):
     brdf = brdf_from_spec(spec)
-    report = check_energy(brdf)
+    report = check_energy(brdf, n_angles=9)
     assert report.conserves
     assert 0.99 < report.max_albedo < 1 + 1e-5
-    assert not check_energy(Scaled(brdf, 1.01)).conserves
+    assert not check_energy(Scaled(brdf, 1.01), n_angles=9).conserves
     assert set(report.to_dict()) == {"max_albedo", "cos_at_max", "normal_albedo", "conserves"}
 
 
 def test_diffuse_and_specular_may_add_up_to_too_much():
-    assert not check_energy(brdf_from_spec(PhongSpec(kd=0.6, ks=0.6))).conserves
+    assert not check_energy(brdf_from_spec(PhongSpec(kd=0.6, ks=0.6)), n_angles=5).conserves
 
 
 def test_grazing_light_is_integrated_too():
@@ -74,20 +74,21 @@ def test_reciprocity_tells_both_kinds_apart():
 def test_the_error_off_the_grid_is_the_energy_lost(m):
     brdf = brdf_from_spec(CookTorranceSpec(m=m))
     found = factorise(brdf, n_terms=16)
-    report = check_factorisation(brdf, found)
+    report = check_factorisation(brdf, found, n_theta=41, n_phi=160)
     # the grid's own error, 8 % of the figure at m 0.3
     assert report.relative_error == pytest.approx(found.energy_lost, rel=0.12)
     assert report.tabulation < 1e-8
     # twin: the terms of another BRDF
     other = factorise(brdf_from_spec(CookTorranceSpec(m=2 * m)), n_terms=16)
-    assert check_factorisation(brdf, other).relative_error > 1.5 * report.relative_error
+    wrong = check_factorisation(brdf, other, n_theta=31, n_phi=120)
+    assert wrong.relative_error > 1.5 * report.relative_error
 
 
 def test_the_error_falls_to_nothing_with_the_terms():
     brdf = brdf_from_spec(PhongSpec(kd=0.3, ks=0.7, exponent=5.0))
     errors = [
-        check_factorisation(brdf, factorise(brdf, n_terms=k), n_theta=31, n_phi=96).relative_error
-        for k in (1, 9, 45)
+        check_factorisation(brdf, factorise(brdf, n_terms=k), n_theta=25, n_phi=64).relative_error
+        for k in (1, 9, 35)
     ]
     assert errors[0] > 10 * errors[1] > 100 * errors[2]
 
@@ -95,4 +96,4 @@ def test_the_error_falls_to_nothing_with_the_terms():
 def test_a_coarse_table_shows():
     brdf = brdf_from_spec(CookTorranceSpec())
     coarse = factorise(brdf, n_terms=16, n_nodes=17)
-    assert check_factorisation(brdf, coarse).tabulation > 1e-6
+    assert check_factorisation(brdf, coarse, n_theta=31, n_phi=64).tabulation > 1e-6

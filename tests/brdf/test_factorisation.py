@@ -53,7 +53,7 @@ def test_the_extension_meets_the_grid(gloss):
 def test_tables_stand_for_the_exact_extension(spec, psi_bound, phi_bound, directions):
     """Relative error in the norm with the cosine: its square, 1e-7 at most, is a budget line."""
     found = factorise(brdf_from_spec(spec), n_terms=16)
-    w = directions(1500)
+    w = directions(500)
 
     def error(got, wanted):
         cosine = w[:, 2].reshape(-1, *[1] * (got.ndim - 1))
@@ -72,17 +72,17 @@ def test_tables_stand_for_the_exact_extension(spec, psi_bound, phi_bound, direct
 def test_the_sum_of_products_is_the_brdf(directions):
     """With the terms for 0.1 % of the energy the weighted error off the grid is that, too."""
     found = factorise(GLOSS, energy_lost=0.001)
-    wi, wo = directions(400), directions(400, seed=2)
+    wi, wo = directions(250), directions(250, seed=2)
     weight = wi[:, None, 2] * wo[None, :, 2]
     rho = GLOSS.eval_brdf(wi[:, None], wo[None])[..., 0]
     got = found.eval_psi(wi) @ found.eval_phi(wo)[..., 0].T
     lost = np.sum(((got - rho) * weight) ** 2) / np.sum((rho * weight) ** 2)
-    assert lost < 0.0015  # 0.1 % within the sampling error of 160,000 pairs
+    assert lost < 0.0015  # 0.1 % within the sampling error of 62,500 pairs
     swapped = found.eval_psi(wi * [1, -1, 1]) @ found.eval_phi(wo)[..., 0].T
     assert np.sum(((swapped - rho) * weight) ** 2) / np.sum((rho * weight) ** 2) > 0.01
 
 
-@pytest.mark.parametrize(("grid", "bound"), [((28, 112), 2e-3), ((56, 112), 5e-4)])
+@pytest.mark.parametrize(("grid", "bound"), [((28, 112), 2e-3), ((48, 112), 7e-4)])
 def test_phi_is_orthonormal_on_the_hemisphere_too(grid, bound):
     """Off the grid the midpoint rule's error is left, 1e-3 and falling with the step's square."""
     found = factorise(GLOSS, n_terms=16, n_theta=grid[0], n_phi=grid[1], n_nodes=3)
