@@ -1,0 +1,224 @@
+"""Compression: CTA an iteration beside tensorly, in classification products in all, and memory.
+
+The unit of the totals is the product that classification cannot do without, measured in the same
+run: all vertices' (r_view coeffs) rows by the folded bases of all clusters.  Times carry limits at
+full size only; ``quick`` checks error and memory.
+"""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from harness import Row, best_time, in_child
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_transfer import synthetic_transfer
+
+from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.compress.cta import INITIAL_ITERATIONS, CtaRanks, compress_cta
+from prtbake_workers.compress.lbg import lbg
+from prtbake_workers.compress.view_basis import initial_view_basis, project_view
+
+F32 = NDArray[np.float32]
+SEED = 0
+TWIN_SWEEPS = 3
+TWIN_ITERATIONS = 2
+LEAST_SPEED_UP = 4.0
+MOST_UNITS = 41.0
+MOST_MEMORY_BYTES = 4 << 30
+
+
+class Setting(NamedTuple):
+    n_verts: int
+    n_terms: int
+    n_coeffs: int
+    n_clusters: int
+    ranks: CtaRanks
+
+
+FULL = Setting(34_834, 16, 642, 97, CtaRanks(8, 48, 24))
+QUICK = Setting(2_000, 8, 162, 8, CtaRanks(5, 16, 10))
+
+
+def rows(quick: bool) -> list[Row]:
+    """Return the table of this benchmark."""
+    unit = in_child(__file__, "measure_unit", quick=quick)
+    ours = in_child(__file__, "measure_cta", quick=quick)
+    twin = in_child(__file__, "measure_twin", quick=quick)
+    cpca = in_child(__file__, "measure_cpca", quick=quick)
+    s = QUICK if quick else FULL
+    size = f"{s.n_verts} x {s.n_terms} x {s.n_coeffs}, {s.n_clusters} clusters"
+    width = s.n_clusters * s.ranks.vert
+    gib = 1 << 30
+    return [
+        Row(
+            "classification product (unit)",
+            seconds=unit["seconds"],
+            measured=unit["gflops"],
+            unit="GFlop/s",
+            limit_description=f"{s.n_verts} x {s.ranks.view * s.n_coeffs} x {width}, float32",
+        ),
+        Row(
+            "CTA, twin an iteration",
+            seconds=twin["seconds_per_iteration"],
+            error=twin["errors"][-1],
+            limit_description="tensorly partial_tucker, randomised SVD; eq. 17 factored",
+        ),
+        Row(
+            "CTA, ours an iteration",
+            seconds=ours["seconds_per_iteration"],
+            measured=twin["seconds_per_iteration"] / ours["seconds_per_iteration"],
+            unit="x",
+            limit=None if quick else LEAST_SPEED_UP,
+            limit_is="at least",
+            error=ours["errors"][TWIN_ITERATIONS - 1],
+            limit_description="faster than the twin",
+        ),
+        Row(
+            f"CTA, error after {TWIN_ITERATIONS} iterations",
+            measured=ours["errors"][TWIN_ITERATIONS - 1] / twin["errors"][-1],
+            unit="of the twin's",
+            limit=1.0,
+            error=ours["errors"][TWIN_ITERATIONS - 1],
+            limit_description="the twin's error",
+        ),
+        Row(
+            f"CTA in all, {ours['iterations']} iterations",
+            seconds=ours["seconds"],
+            measured=ours["seconds"] / unit["seconds"],
+            unit="units",
+            limit=None if quick else MOST_UNITS,
+            error=ours["errors"][-1],
+            limit_description=size,
+        ),
+        Row(
+            "CTA, peak memory",
+            measured=ours["peak_memory_bytes"] / gib,
+            unit="GiB",
+            limit=MOST_MEMORY_BYTES / gib,
+            peak_memory_bytes=ours["peak_memory_bytes"],
+            limit_description="with the input itself",
+        ),
+        Row(
+            "CPCA in all",
+            seconds=cpca["seconds"],
+            error=cpca["error"],
+            peak_memory_bytes=cpca["peak_memory_bytes"],
+            limit_description=f"{s.n_verts} x {s.n_coeffs}, {s.n_clusters} clusters x 12",
+        ),
+    ]
+
+
+def measure_unit(*, quick: bool) -> dict[str, Any]:
+    """Time the product in four blocks of rows, as a program that minds its memory would."""
+    s = QUICK if quick else FULL
+    rng = np.random.default_rng(SEED)
+    depth, width, n_rows = s.ranks.view * s.n_coeffs, s.n_clusters * s.ranks.vert, s.n_verts // 4
+    left = rng.standard_normal((n_rows, depth), dtype=np.float32)
+    right = rng.standard_normal((depth, width), dtype=np.float32)
+    out = np.empty((n_rows, width), dtype=np.float32)
+    block = best_time(lambda: np.matmul(left, right, out=out), repeats=5)
+    return {
+        "seconds": block * s.n_verts / n_rows,
+        "gflops": 2e-9 * n_rows * depth * width / block,
+    }
+
+
+def measure_cta(*, quick: bool) -> dict[str, Any]:
+    """Time compress_cta, as a whole and an iteration: a classification and a model step."""
+    s = QUICK if quick else FULL
+    transfer = synthetic_transfer(s.n_verts, s.n_terms, s.n_coeffs, seed=SEED)
+    steps: list[float] = []
+
+    def note_clustering(fraction: float, state: str) -> None:
+        if state.startswith("clustering"):
+            steps.append(time.perf_counter())
+
+    start = time.perf_counter()
+    model = compress_cta(transfer, s.n_clusters, s.ranks, seed=SEED, progress=note_clustering)
+    seconds = time.perf_counter() - start
+    return {
+        "seconds": seconds,
+        "seconds_per_iteration": float(np.median(np.diff(steps))),
+        "iterations": model.iterations,
+        "errors": [value / model.initial_energy for value in model.objective],
+    }
+
+
+def measure_cpca(*, quick: bool) -> dict[str, Any]:
+    """Time compress_cpca on the first term alone."""
+    s = QUICK if quick else FULL
+    signal = np.ascontiguousarray(synthetic_transfer(s.n_verts, 1, s.n_coeffs, seed=SEED)[:, 0])
+    start = time.perf_counter()
+    model = compress_cpca(signal, s.n_clusters, 12, seed=SEED)
+    return {"seconds": time.perf_counter() - start, "error": model.squared_error_ratio}
+
+
+def measure_twin(*, quick: bool) -> dict[str, Any]:
+    """Time the twin: the same start, then tensorly a cluster and eq. (17) as it stands."""
+    s = QUICK if quick else FULL
+    transfer = synthetic_transfer(s.n_verts, s.n_terms, s.n_coeffs, seed=SEED)
+    ones = np.ones(s.n_verts)
+    view_basis = initial_view_basis(transfer, ones, s.ranks.view)
+    z = np.empty((s.n_verts, s.ranks.view, s.n_coeffs), dtype=np.float32)
+    left_out = project_view(transfer, view_basis, z).sum()
+    total = float(np.einsum("vkl,vkl->", transfer, transfer, dtype=np.float64))
+    del transfer
+    energy = np.einsum("vkl,vkl->v", z, z, dtype=np.float64)
+    labels = lbg(
+        z.reshape(s.n_verts, -1),
+        s.n_clusters,
+        rng=np.random.default_rng(SEED),
+        weights=ones,
+        max_iterations=INITIAL_ITERATIONS,
+    ).labels
+    errors, times = [], []
+    for _ in range(TWIN_ITERATIONS):
+        start = time.perf_counter()
+        bases = [
+            _twin_model_step(z[labels == cluster], s.ranks)
+            for cluster in range(s.n_clusters)
+            if np.any(labels == cluster)
+        ]
+        modelled = time.perf_counter()
+        own = np.concatenate([captured for _, _, captured in bases])
+        errors.append((energy.sum() - own.sum() + left_out) / total)
+        resumed = time.perf_counter()
+        labels = _twin_classify(z, bases)
+        times.append(modelled - start + time.perf_counter() - resumed)
+    return {"seconds_per_iteration": float(np.mean(times)), "errors": [float(e) for e in errors]}
+
+
+def _twin_model_step(z: F32, ranks: CtaRanks) -> tuple[F32, F32, F32]:
+    """Return U_light, V and the energy captured of each vertex, by tensorly's partial_tucker."""
+    from tensorly.decomposition import partial_tucker
+
+    n = len(z)
+    (core, (_, light)), _ = partial_tucker(
+        z,
+        rank=[min(n, ranks.vert), ranks.light],
+        modes=[0, 2],
+        n_iter_max=TWIN_SWEEPS,
+        svd="randomized_svd",
+        random_state=SEED,
+        tol=0.0,
+    )
+    unfolded = core.reshape(len(core), -1)
+    # Eq. (16) of Tsai & Shih by QR: the rows of uf_3(Z_c) are only nearly orthogonal.
+    dual = np.linalg.qr(unfolded.T.astype(np.float64))[0].T.astype(np.float32)
+    weights = (z @ light).reshape(n, -1) @ dual.T
+    return light, dual, np.einsum("vr,vr->v", weights, weights, dtype=np.float64)
+
+
+def _twin_classify(z: F32, bases: list[tuple[F32, F32, F32]]) -> NDArray[np.int64]:
+    """Return each vertex's best cluster by w = V uf(Z_x U_light), cluster by cluster."""
+    n_verts, _, n_coeffs = z.shape
+    flat = z.reshape(-1, n_coeffs)
+    captured = np.empty((len(bases), n_verts))
+    for cluster, (light, dual, _) in enumerate(bases):
+        weights = (flat @ light).reshape(n_verts, -1) @ dual.T
+        captured[cluster] = np.einsum("vr,vr->v", weights, weights)
+    return np.argmax(captured, axis=0)
