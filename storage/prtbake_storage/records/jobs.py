@@ -187,12 +187,14 @@ class Jobs:
 
     def _earlier(self, new: NewJob) -> Job:
         with self._database.read() as session:
-            row = session.scalars(
-                sa.select(JobRow).where(
-                    JobRow.project == new.project,
-                    JobRow.idempotency_key == new.idempotency_key,
-                )
-            ).first()
+            row = None
+            if new.idempotency_key is not None:  # = NULL would find any job that has none
+                row = session.scalars(
+                    sa.select(JobRow).where(
+                        JobRow.project == new.project,
+                        JobRow.idempotency_key == new.idempotency_key,
+                    )
+                ).first()
             row = row or session.get(JobRow, new.id)
             if row is None:
                 raise Conflict(f"job {new.id} was deleted at this moment: submit it again")
