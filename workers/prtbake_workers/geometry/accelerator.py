@@ -91,6 +91,16 @@ class Accelerator:
             np.not_equal(ids, _NO_HIT, out=blocked[block])
         return blocked
 
+    def occluded_from(
+        self, origin: Float32[F32, " 3"], directions: Float32[F32, "rays 3"]
+    ) -> Bool[B8, " rays"]:
+        """Tell which rays from one point hit anything: as `occluded`, without a row an origin."""
+        moved = self._moved(origin[None])
+        ids = self._scene.run(
+            np.broadcast_to(moved, directions.shape), directions, query="OCCLUDED"
+        )
+        return np.asarray(ids != _NO_HIT)
+
     def intersect(
         self, origins: Float32[F32, "rays 3"], directions: Float32[F32, "rays 3"]
     ) -> Hits:

@@ -50,10 +50,9 @@ def visible_fraction(
         above = np.flatnonzero(cosines[vertex] > 0.0)
         if len(above) == 0:
             continue
-        start = np.broadcast_to(origin, (len(above), 3))
         if len(samples) == 1:
             rays = samples[0].take(above, axis=0)[:, :3]
-            out[vertex, above] = ~accelerator.occluded(start, rays)
+            out[vertex][above] = ~accelerator.occluded_from(origin, rays)
         else:
             escaped = np.zeros(len(above), np.float32)
             counted = np.zeros(len(above), np.float32)
@@ -61,8 +60,8 @@ def visible_fraction(
                 rays = sample.take(above, axis=0)[:, :3]
                 risen = rays @ normals[vertex] > 0.0
                 counted += risen
-                escaped += risen & ~accelerator.occluded(start, rays)
+                escaped += risen & ~accelerator.occluded_from(origin, rays)
             # a centre above the horizon has a sample above it, rounding aside
-            out[vertex, above] = escaped / np.maximum(counted, np.float32(1.0))
+            out[vertex][above] = escaped / np.maximum(counted, np.float32(1.0))
         n_rays += len(above) * len(samples)
     return n_rays
