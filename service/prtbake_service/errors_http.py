@@ -4,6 +4,7 @@
 """
 
 import logging
+import re
 from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
@@ -163,7 +164,21 @@ def on_http_exception(request: Request, error: Exception) -> Response:
     problem = Problem(
         title=title_of(status), status=status, detail=detail, code=CODES.get(status, "error")
     )
-    return problem_response(problem, dict(error.headers or {}))
+    headers = dict(error.headers or {})
+    if status == 405:
+        headers["Allow"] = ", ".join(allowed_methods(request, headers.get("Allow", "")))
+    return problem_response(problem, headers)
+
+
+def allowed_methods(request: Request, known: str) -> list[str]:
+    """Return every method of a path; the router knows those of the first route that fits only."""
+    methods = {method for method in known.split(", ") if method}
+    for template, operations in request.app.openapi()["paths"].items():
+        # a parameter fits what stands between two slashes
+        pattern = re.sub(r"\\{[^}]*\\}", "[^/]+", re.escape(template))
+        if re.fullmatch(pattern, request.url.path):
+            methods |= {method.upper() for method in operations}
+    return sorted(methods)
 
 
 def internal_problem() -> Problem:

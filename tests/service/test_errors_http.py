@@ -1,0 +1,151 @@
+"""Every error is problem+json with a code and, where there is one, a pointer to the field."""
+
+import httpx
+import pytest
+
+from prtbake_service.errors_http import pointer_to, validation_entries
+from prtbake_service.testing import LiveService
+from prtbake_storage.contract.jobs import Problem
+
+PROBLEM = "application/problem+json"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status", "code"),
+    [
+        ("GET", "/nowhere", 404, "not-found"),
+        ("GET", "/v1/nowhere", 404, "not-found"),
+        ("GET", "/static/nothing.js", 404, "not-found"),
+        ("PATCH", "/v1/jobs", 405, "method-not-allowed"),
+        ("GET", "/v1/jobs/none", 404, "not-found"),
+        ("GET", "/v1/jobs?limit=0", 422, "malformed-request"),
+        ("GET", "/v1/jobs?cursor=zzz", 400, "invalid-input"),
+        ("GET", "/v1/jobs?state=sleeping", 422, "malformed-request"),
+        ("PUT", "/v1/uploads/sha256:short", 422, "malformed-request"),
+        ("GET", "/v1/meshes/mesh-0000000000000000", 404, "not-found"),
+        ("GET", "/v1/jobs/none/artefacts/x.png", 404, "not-found"),
+    ],
+)
+def test_all_errors_are_problems(
+    http: httpx.Client, method: str, path: str, status: int, code: str
+) -> None:
+    answer = http.request(method, path)
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == PROBLEM
+    problem = Problem.model_validate_json(answer.content)
+    assert (problem.status, problem.code) == (status, code)
+    assert problem.detail
+    assert answer.headers["x-request-id"]
+
+
+def test_405_names_the_methods(http: httpx.Client) -> None:
+    assert "GET" in http.patch("/v1/jobs").headers["allow"]
+
+
+def test_a_malformed_request_names_every_field(http: httpx.Client) -> None:
+    body = {"kind": "asset", "mesh": "x", "brdf": {"model": "lambert", "albedo": 2}, "extra": 1}
+    problem = http.post("/v1/jobs", json=body).json()
+    assert problem["status"] == 422
+    pointers = {entry["pointer"] for entry in problem["errors"]}
+    assert {"/mesh", "/environment", "/extra"} <= pointers
+    assert any(pointer.startswith("/brdf") for pointer in pointers)
+    assert problem["pointer"] in pointers
+
+
+def test_settings_of_a_stage_are_checked(http: httpx.Client, mesh: str, environment: str) -> None:
+    body = {
+        "kind": "asset",
+        "mesh": mesh,
+        "environment": environment,
+        "brdf": {"model": "lambert"},
+        "settings": {"bake": {"n_terms": 0}, "compress": {"rank": [1, 1, 1]}},
+    }
+    problem = http.post("/v1/jobs", json=body).json()
+    assert problem["status"] == 422
+    assert {entry["pointer"] for entry in problem["errors"]} == {
+        "/settings/bake/n_terms",
+        "/settings/compress/rank",
+    }
+
+
+def test_broken_json_is_malformed(http: httpx.Client) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = http.post("/v1/jobs", content=b'{"kind": ', headers=headers)
+    assert answer.status_code == 422
+    assert "not JSON" in answer.json()["detail"]
+
+
+def test_infinity_is_refused(http: httpx.Client, environment: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    body = f'{{"kind": "fit_light", "environment": "{environment}", "seed": 1e999}}'
+    assert http.post("/v1/jobs", content=body.encode(), headers=headers).status_code == 422
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+def test_a_body_has_a_limit(http: httpx.Client, service: LiveService, chunked: bool) -> None:
+    limit = service.backend.settings.max_request_bytes
+    body = b" " * (limit + 1)
+    content = iter([body[:100], body[100:]]) if chunked else body
+    headers = {"Content-Type": "application/json"}
+    answer = http.post("/v1/jobs", content=content, headers=headers)
+    assert answer.status_code == 413
+    assert answer.headers["content-type"] == PROBLEM
+    assert str(limit) in answer.json()["detail"]
+
+
+def test_faults_of_ours_tell_nothing_but_an_id(
+    http: httpx.Client, service: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def explode(*_: object, **__: object) -> None:
+        raise RuntimeError("the password is swordfish")
+
+    monkeypatch.setattr(type(service.backend.jobs), "page", explode)
+    answer = http.get("/v1/jobs", headers={"X-Request-ID": "abc-1"})
+    assert answer.status_code == 500
+    assert answer.headers["content-type"] == PROBLEM
+    assert answer.headers["x-request-id"] == "abc-1"
+    assert "swordfish" not in answer.text
+    assert answer.json()["code"] == "internal"
+
+
+def test_a_strange_request_id_is_replaced(http: httpx.Client) -> None:
+    answer = http.get("/healthz", headers={"X-Request-ID": "a b{}"})
+    assert answer.headers["x-request-id"] != "a b{}"
+
+
+@pytest.mark.parametrize(
+    ("loc", "body", "pointer"),
+    [
+        # the tag of the union is not in the body
+        (
+            ["asset", "settings", "bake"],
+            {"kind": "asset", "settings": {"bake": 3}},
+            "/settings/bake",
+        ),
+        # a field of the name of the tag is
+        (["render", "asset"], {"kind": "render", "asset": 1}, "/asset"),
+        (["asset", "asset"], {"kind": "asset", "asset": 1}, "/asset"),
+        # a missing field is the last step
+        (["asset", "mesh"], {"kind": "asset"}, "/mesh"),
+        (
+            ["bake", "brdf", "lambert", "albedo"],
+            {"kind": "bake", "brdf": {"albedo": 2}},
+            "/brdf/albedo",
+        ),
+        (["a", 1, "b"], {"a": [{}, {"b": 0}]}, "/a/1/b"),
+        (["a/b~c"], {"a/b~c": 0}, "/a~1b~0c"),
+        ([], {}, ""),
+    ],
+)
+def test_pointers(loc: list[str | int], body: object, pointer: str) -> None:
+    assert pointer_to(loc, body) == pointer
+
+
+def test_alternatives_of_a_union_are_one_entry() -> None:
+    errors = [
+        {"loc": ("body", "brdf", "str"), "msg": "not a string", "type": "string_type"},
+        {"loc": ("body", "brdf", "lambert"), "msg": "not an object", "type": "model_type"},
+    ]
+    entries = validation_entries(errors, {"brdf": 3})
+    assert [entry["pointer"] for entry in entries] == ["/brdf"]
+    assert "not a string; or: not an object" in entries[0]["detail"]

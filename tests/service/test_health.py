@@ -1,0 +1,98 @@
+import shutil
+from pathlib import Path
+
+import httpx
+import pytest
+
+from prtbake_service.testing import LiveService, live_service, quick_settings
+
+
+def get(service: LiveService, path: str) -> httpx.Response:
+    return httpx.get(service.url + path, trust_env=False)
+
+
+def test_health_needs_no_key(service: LiveService) -> None:
+    assert get(service, "/healthz").json() == {"status": "ok"}
+    ready = get(service, "/readyz")
+    assert ready.status_code == 200
+    assert ready.json() == {"status": "ready", "database": "ok", "blobs": "ok", "workers": 0}
+
+
+def test_workers_are_counted(service: LiveService) -> None:
+    workers = service.backend.workers
+    workers.beat("w-1", host="here", pid=1, tile_slots=1)
+    workers.beat("w-2", host="here", pid=2, tile_slots=1)
+    workers.mark_gone("w-2")
+    assert get(service, "/readyz").json()["workers"] == 1
+    assert "prtbake_workers_alive 1.0" in get(service, "/metrics").text
+    workers.forget(["w-1", "w-2"])
+
+
+def test_not_ready_without_blobs(tmp_path: Path) -> None:
+    with live_service(quick_settings(tmp_path)) as live:
+        shutil.rmtree(tmp_path / "blobs")
+        (tmp_path / "blobs").write_text("in the way")
+        answer = get(live, "/readyz")
+        assert answer.status_code == 503
+        assert answer.json()["blobs"] == "failed"
+        assert get(live, "/healthz").status_code == 200
+
+
+def test_metrics(service: LiveService, http: httpx.Client, submit) -> None:
+    submit()
+    http.get("/v1/jobs/nothing-here")
+    text = get(service, "/metrics").text
+    # the template, not the path: a label for each job id would fill any memory
+    assert 'route="/v1/jobs/{job_id}",status="404"' in text
+    assert "nothing-here" not in text
+    assert 'prtbake_jobs{state="queued"}' in text
+    assert "prtbake_http_request_seconds_bucket" in text
+
+
+@pytest.mark.parametrize("path", ["/", "/static/app.js", "/static/api.js", "/static/style.css"])
+def test_the_page_and_its_parts(service: LiveService, path: str) -> None:
+    answer = get(service, path)
+    assert answer.status_code == 200
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_page_holds_no_secret_and_nothing_foreign(service: LiveService) -> None:
+    answer = get(service, "/")
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert service.key not in answer.text
+    for path in ("/", "/static/app.js", "/static/api.js", "/static/style.css"):
+        text = get(service, path).text
+        assert "https://" not in text
+        assert "innerHTML" not in text
+        assert "set-cookie" not in get(service, path).headers
+
+
+def test_openapi(service: LiveService) -> None:
+    schema = get(service, "/v1/openapi.json").json()
+    assert schema["openapi"].startswith("3.1")
+    paths = schema["paths"]
+    for path in ("/v1/jobs", "/v1/jobs:estimate", "/v1/jobs/{job_id}/events", "/v1/meshes"):
+        assert path in paths
+    operation = paths["/v1/jobs"]["post"]
+    assert "application/problem+json" in operation["responses"]["4XX"]["content"]
+    assert operation["security"]
+    names = [o["operationId"] for p in paths.values() for o in p.values()]
+    assert len(names) == len(set(names))
+    refs = set(_refs(schema))
+    assert {r.removeprefix("#/components/schemas/") for r in refs} <= set(
+        schema["components"]["schemas"]
+    )
+
+
+def _refs(node: object):
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if key == "$ref":
+                yield value
+            else:
+                yield from _refs(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _refs(value)

@@ -1,0 +1,83 @@
+import httpx
+import pytest
+
+from prtbake_service.testing import LiveService
+from prtbake_storage.contract.jobs import JobError
+
+LAMBERT = {"model": "lambert", "albedo": [0.8, 0.2, 0.1]}
+
+
+def test_context_of_an_asset(service: LiveService, http, mesh: str, environment: str) -> None:
+    texture = service.backend.blobs.put_bytes(b"a picture")
+    service.backend.uploads.add(texture, 9)
+    body = {
+        "kind": "asset",
+        "mesh": mesh,
+        "environment": environment,
+        "brdf": LAMBERT,
+        "albedo_texture": texture,
+    }
+    job = http.post("/v1/jobs", json=body).json()
+    context = service.backend.jobs.context(job["id"])
+    assert set(context) == {"mesh", "environment", "brdf", "albedo_texture"}
+    assert context["mesh"]["id"] == mesh
+    assert context["mesh"]["understood"]["n"] == 7
+    assert service.backend.blobs.read_bytes(context["mesh"]["canonical"]) == mesh.encode()
+    assert context["brdf"]["spec"] == LAMBERT
+    assert context["brdf"]["id"] is None
+    assert context["albedo_texture"] == texture
+
+
+def test_context_of_artefacts(service: LiveService, http, submit) -> None:
+    job = submit()
+    service.succeed(job["id"], {}, transfer_h5=b"T")
+    reference = f"{job['id']}/transfer.h5"
+    made = http.post("/v1/jobs", json={"kind": "compress", "transfer": reference}).json()
+    context = service.backend.jobs.context(made["id"])
+    digest = service.backend.jobs.get(job["id"]).artefacts[0].sha256
+    assert context == {
+        "artefacts": {"transfer": {"digest": digest, "job": job["id"], "name": "transfer.h5"}}
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "pointer"),
+    [
+        ({"mesh": "mesh-00000000000000ff"}, "/mesh"),
+        ({"environment": "environment-00000000000000ff"}, "/environment"),
+        ({"brdf": "brdf-00000000000000ff"}, "/brdf"),
+        ({"albedo_texture": "sha256:" + "1" * 64}, "/albedo_texture"),
+        ({"mesh": "environment-00000000000000ff"}, "/mesh"),
+    ],
+)
+def test_what_is_not_there_is_404_with_a_pointer(
+    http: httpx.Client, mesh: str, environment: str, change: dict[str, str], pointer: str
+) -> None:
+    body = {"kind": "asset", "mesh": mesh, "environment": environment, "brdf": LAMBERT} | change
+    for path in ("/v1/jobs", "/v1/jobs:estimate"):
+        answer = http.post(path, json=body)
+        assert answer.status_code == 404
+        assert answer.json()["pointer"] == pointer
+
+
+def test_an_artefact_must_be_finished(service: LiveService, http, submit) -> None:
+    job = submit()
+    body = {"kind": "compress", "transfer": f"{job['id']}/transfer.h5"}
+    answer = http.post("/v1/jobs", json=body)
+    assert (answer.status_code, answer.json()["pointer"]) == (409, "/transfer")
+    service.succeed(job["id"], {}, other_h5=b"")
+    answer = http.post("/v1/jobs", json=body)
+    assert (answer.status_code, answer.json()["pointer"]) == (404, "/transfer")
+    assert "other.h5" in answer.json()["detail"]
+
+
+def test_a_resource_must_be_parsed(service: LiveService, http, mesh: str) -> None:
+    made = http.post("/v1/environments", json={"builtin": {"name": "hall", "width": 16}}).json()
+    body = {"kind": "fit_light", "environment": made["id"]}
+    answer = http.post("/v1/jobs", json=body)
+    assert (answer.status_code, answer.json()["pointer"]) == (409, "/environment")
+    error = JobError(kind="input", code="invalid-environment", detail="pixel (3, 4) is NaN")
+    service.fail(f"parse-{made['id']}", error)
+    answer = http.post("/v1/jobs", json=body)
+    assert answer.status_code == 409
+    assert "pixel (3, 4) is NaN" in answer.json()["detail"]
