@@ -6,7 +6,7 @@ coeffs lobes clusters ranks pcs channels pixels``.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, Int64, UInt8
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
@@ -14,8 +14,9 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 B8 = NDArray[np.bool_]
+U8 = NDArray[np.uint8]
 
 __all__ = [
-    "B8", "F32", "F64", "I32", "I64",
-    "Bool", "Float", "Float32", "Float64", "Int", "Int32", "Int64",
+    "B8", "F32", "F64", "I32", "I64", "U8",
+    "Bool", "Float", "Float32", "Float64", "Int", "Int32", "Int64", "UInt8",
 ]  # fmt: skip

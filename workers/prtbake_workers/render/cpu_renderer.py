@@ -1,7 +1,6 @@
 """Render without a GPU or GL: rays through pixel centres and the numpy decode."""
 
 from collections.abc import Callable
-from typing import Self
 
 import numpy as np
 
@@ -10,7 +9,13 @@ from prtbake_storage.decode.relight import relight, shade
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.render.camera import Pinhole
-from prtbake_workers.render.picture import Picture, RendererInfo, Visibility, reduce_samples
+from prtbake_workers.render.picture import (
+    Picture,
+    Renderer,
+    RendererInfo,
+    Visibility,
+    reduce_samples,
+)
 
 Intersector = Callable[
     [Float32[F32, "rays 3"], Float32[F32, "rays 3"]],
@@ -19,7 +24,7 @@ Intersector = Callable[
 """Origins and directions to triangles (-1 for none) and barycentrics."""
 
 
-class CpuRenderer:
+class CpuRenderer(Renderer):
     """Primary rays through Embree, colours by `prtbake_storage.decode.relight`.
 
     Parameters
@@ -72,12 +77,6 @@ class CpuRenderer:
     def release(self) -> None:
         """Give everything back."""
         self._radiances = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 def _embree(asset: Asset) -> Intersector:

@@ -6,7 +6,6 @@ new view costs no CPU work at all.  Shading runs once a pixel, whatever the dept
 
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Self
 
 import moderngl
 import numpy as np
@@ -16,7 +15,13 @@ from prtbake_storage.decode.relight import relight
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.render.camera import Pinhole, depth_range
 from prtbake_workers.render.context import GlUnavailable, check_error, create_context, describe
-from prtbake_workers.render.picture import Picture, RendererInfo, Visibility, reduce_samples
+from prtbake_workers.render.picture import (
+    Picture,
+    Renderer,
+    RendererInfo,
+    Visibility,
+    reduce_samples,
+)
 from prtbake_workers.render.targets import Target
 
 MAX_TRIANGLES = (1 << 24) - 2
@@ -36,7 +41,7 @@ class _PartObjects:
     albedo_texture: moderngl.Texture | None
 
 
-class GlRenderer:
+class GlRenderer(Renderer):
     """Draws one asset in a context of its own; use it from the thread that made it.
 
     Parameters
@@ -108,12 +113,6 @@ class GlRenderer:
         if not isinstance(self._context.mglo, moderngl.InvalidObject):
             self._context.release()
         self._lit = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def _upload(self) -> None:
         asset, context = self._asset, self._context

@@ -1,8 +1,8 @@
 """What a renderer gives, and the rule by which every backend decides what a pixel sees."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self
 
 import numpy as np
 
@@ -36,28 +36,35 @@ class RendererInfo:
     reason: str
 
 
-class Renderer(Protocol):
+class Renderer(ABC):
     """Draws one asset; the light is set apart from the view, as it costs more."""
 
     @property
+    @abstractmethod
     def info(self) -> RendererInfo:
         """What draws."""
 
+    @abstractmethod
     def set_light(self, light: Float64[F64, "coeffs 3"]) -> None:
         """Relight with whitened coefficients: the only step that costs work a cluster."""
 
+    @abstractmethod
     def visibility(self, view: Pinhole, width: int, height: int) -> Visibility:
         """Return the triangle behind every pixel centre."""
 
+    @abstractmethod
     def render(self, view: Pinhole, width: int, height: int, samples: int = 1) -> Picture:
         """Draw with ``samples`` x ``samples`` points a pixel."""
 
+    @abstractmethod
     def release(self) -> None:
         """Give everything back."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> "Renderer":
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
 
 def reduce_samples(picture: Picture, samples: int) -> Picture:

@@ -1,0 +1,155 @@
+"""OpenGL against the numpy decode on the same view."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.settings import Camera
+from prtbake_storage.decode.asset import Asset
+from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.render.camera import Pinhole, pinhole
+from prtbake_workers.render.context import GlUnavailable, check_error, create_context
+from prtbake_workers.render.cpu_renderer import CpuRenderer
+from prtbake_workers.render.gl_renderer import GlRenderer
+from prtbake_workers.render.picture import Renderer
+
+pytestmark = pytest.mark.gl
+
+WIDTH, HEIGHT = 120, 90
+
+INTERIOR = 2e-3
+"""Of the brightest value, where both see the same triangle.  The limit is the barycentrics: float32
+rays and rasteriser differ by 1e-4 to 1e-3 on triangles seen edge-on; measured worst 2e-4."""
+
+SILHOUETTE_SHARE = 0.002
+"""Pixels where the centre falls on an edge within float32: measured at most 2 in 10,800."""
+
+
+def view_of(asset: Asset, azimuth: float = 30.0) -> Pinhole:
+    bounds = np.stack([asset.positions.min(axis=0), asset.positions.max(axis=0)])
+    return pinhole(Camera(azimuth_deg=azimuth), WIDTH, HEIGHT, bounds.astype(np.float64))
+
+
+def mismatch(a: Renderer, b: Renderer, view: Pinhole) -> tuple[float, float]:
+    """Largest relative difference where both see one triangle; share of other pixels."""
+    same = (
+        a.visibility(view, WIDTH, HEIGHT).triangles == b.visibility(view, WIDTH, HEIGHT).triangles
+    )
+    one, two = a.render(view, WIDTH, HEIGHT), b.render(view, WIDTH, HEIGHT)
+    assert 0.1 < one.coverage.mean() < 0.9
+    difference = np.abs(one.radiance - two.radiance).max(axis=2)
+    return float(difference[same].max() / np.abs(two.radiance).max()), float((~same).mean())
+
+
+@pytest.mark.parametrize("azimuth", [30.0, 160.0])
+def test_gl_agrees_with_the_numpy_decode(scene: Asset, light: np.ndarray, azimuth: float) -> None:
+    view = view_of(scene, azimuth)
+    with GlRenderer(scene) as gl, CpuRenderer(scene) as cpu:
+        assert gl.info.backend == "egl"
+        assert gl.info.device
+        for current in (light, rotation_matrix((10, 20, 30)) @ light.T):
+            values = current if current.shape == light.shape else current.T
+            gl.set_light(values)
+            cpu.set_light(values)
+            interior, share = mismatch(gl, cpu, view)
+            assert interior < INTERIOR
+            assert share < SILHOUETTE_SHARE
+    # negative twin: all frames aligned instead of turned at random
+    part = scene.parts[0]
+    aligned = tangent_frames(scene.normals[: part.n_vertices].astype(np.float64))
+    other = replace(scene, parts=(replace(part, frames=aligned.astype(np.float32)), scene.parts[1]))
+    with GlRenderer(other) as gl, CpuRenderer(scene) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_the_size_of_the_scene_does_not_matter(
+    scene: Asset, light: np.ndarray, scale: float
+) -> None:
+    scaled = replace(scene, positions=scene.positions * np.float32(scale))
+    with GlRenderer(scaled) as gl, CpuRenderer(scaled) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        interior, share = mismatch(gl, cpu, view_of(scaled))
+    assert interior < INTERIOR
+    assert share < SILHOUETTE_SHARE
+
+
+def test_coloured_albedo_and_one_channel_textures(scene: Asset, light: np.ndarray) -> None:
+    glossy, diffuse = scene.parts
+    assert glossy.view_texture is not None
+    grey = replace(glossy, view_texture=glossy.view_texture[..., :1].copy())
+    red = replace(diffuse, albedo=np.array([0.9, 0.2, 0.1], np.float32), albedo_texture=None)
+    asset = replace(scene, parts=(grey, red))
+    with GlRenderer(asset) as gl, CpuRenderer(asset) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        assert mismatch(gl, cpu, view_of(asset))[0] < INTERIOR
+
+
+def test_triangles_are_black_from_behind(scene: Asset, light: np.ndarray) -> None:
+    below = pinhole(
+        Camera(eye=(0.0, -4.0, 0.5), target=(0, 0, 0)),
+        WIDTH,
+        HEIGHT,
+        np.array([[-1.0] * 3, [1] * 3]),
+    )
+    for renderer in (GlRenderer(scene), CpuRenderer(scene)):
+        with renderer:
+            renderer.set_light(light)
+            picture = renderer.render(below, WIDTH, HEIGHT)
+        assert picture.coverage.mean() > 0.3
+        assert (picture.radiance == 0).all()
+
+
+def test_two_renderers_take_turns_and_sizes_change(scene: Asset, light: np.ndarray) -> None:
+    view = view_of(scene)
+    first, second = GlRenderer(scene), GlRenderer(scene)
+    first.set_light(light)
+    second.set_light(2 * light)
+    before = first.render(view, WIDTH, HEIGHT)
+    double = second.render(view, WIDTH, HEIGHT)
+    np.testing.assert_allclose(double.radiance, 2 * before.radiance, rtol=1e-5, atol=1e-6)
+    small = first.render(view, WIDTH // 2, HEIGHT // 2)
+    assert small.radiance.shape == (HEIGHT // 2, WIDTH // 2, 3)
+    np.testing.assert_array_equal(first.render(view, WIDTH, HEIGHT).radiance, before.radiance)
+    first.release()
+    first.release()
+    np.testing.assert_array_equal(second.render(view, WIDTH, HEIGHT).radiance, double.radiance)
+    second.release()
+
+
+def test_samples_average_the_finer_picture(scene: Asset, light: np.ndarray) -> None:
+    view = view_of(scene)
+    with GlRenderer(scene) as gl:
+        gl.set_light(light)
+        fine = gl.render(view, 2 * WIDTH, 2 * HEIGHT)
+        found = gl.render(view, WIDTH, HEIGHT, samples=2)
+    expected = fine.radiance.reshape(HEIGHT, 2, WIDTH, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(found.radiance, expected, rtol=1e-5, atol=1e-6)
+    assert set(np.unique(found.coverage)) == {0.0, 0.25, 0.5, 0.75, 1.0}
+
+
+def test_render_needs_a_light(scene: Asset) -> None:
+    with GlRenderer(scene) as gl, pytest.raises(ValueError, match="set_light"):
+        gl.render(view_of(scene), 8, 8)
+
+
+def test_a_recorded_error_is_not_passed_over() -> None:
+    context = create_context()
+    try:
+        check_error(context, "nothing")
+        texture = context.texture((4, 4), 4, dtype="f4")
+        framebuffer = context.framebuffer([texture])
+        framebuffer.use()
+        framebuffer.release()
+        # the framebuffer that is bound is gone: OpenGL objects, the library says nothing
+        context.framebuffer([texture])
+        with pytest.raises(GlUnavailable, match="GL_INVALID_OPERATION while testing"):
+            check_error(context, "testing")
+    finally:
+        context.release()

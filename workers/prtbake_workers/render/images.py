@@ -1,0 +1,152 @@
+"""Pictures as files: exposure, sRGB, PNG and EXR bytes, and pictures beside each other."""
+
+import io
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from prtbake_storage.decode.texture import linear_to_srgb, srgb_to_linear
+from prtbake_storage.errors import InputError
+from prtbake_workers.arrays import F32, U8, Float32, UInt8
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Rec.709."""
+
+EXPOSED_SHARE = 0.98
+EXPOSED_TO = 0.8
+"""Automatic exposure brings the luminance that 98 % of the covered pixels stay below to 0.8."""
+
+MAX_TEXTURE_PIXELS = 16384 * 16384
+GAP = 8
+
+
+def auto_exposure(
+    radiance: Float32[F32, "height width 3"], coverage: Float32[F32, "height width"]
+) -> float:
+    """Choose the factor for the radiance of what the picture shows; 1 for a black picture."""
+    luminance = (radiance.astype(np.float64) @ LUMINANCE)[coverage > 0.5]
+    if luminance.size == 0:
+        return 1.0
+    bright = float(np.quantile(luminance, EXPOSED_SHARE))
+    # a light narrower than 2 % of the pixels: then the brightest one has to serve
+    bright = bright if bright > 0.0 else float(luminance.max())
+    return EXPOSED_TO / bright if bright > 0.0 else 1.0
+
+
+def to_srgb8(
+    radiance: Float32[F32, "height width 3"], exposure: float
+) -> UInt8[U8, "height width 3"]:
+    """Expose, clip to [0, 1] and encode as 8-bit sRGB."""
+    encoded = linear_to_srgb(radiance.astype(np.float64) * exposure)
+    pixels: U8 = np.rint(encoded * 255.0).astype(np.uint8)
+    return pixels
+
+
+def png_bytes(
+    pixels: UInt8[U8, "height width 3"], coverage: Float32[F32, "height width"] | None = None
+) -> bytes:
+    """Encode as PNG; ``coverage`` becomes alpha, for colours that were multiplied by it."""
+    if coverage is None:
+        return _save(Image.fromarray(pixels), "PNG")
+    share = np.clip(coverage.astype(np.float64), 0.0, 1.0)
+    # PNG's alpha is not pre-multiplied: divide in linear light, where the mixing took place
+    linear = srgb_to_linear(pixels / 255.0) / np.maximum(share, 1e-6)[:, :, None]
+    straight = np.rint(linear_to_srgb(linear) * 255.0)
+    alpha = np.rint(share * 255.0)[:, :, None]
+    rgba = np.concatenate([straight, alpha], axis=2).astype(np.uint8)
+    return _save(Image.fromarray(rgba), "PNG")
+
+
+def animation_bytes(
+    frames: Sequence[UInt8[U8, "height width 3"]], frames_per_second: float
+) -> bytes:
+    """Encode frames as an endless animated PNG."""
+    first, *rest = [Image.fromarray(frame) for frame in frames]
+    buffer = io.BytesIO()
+    first.save(
+        buffer,
+        "PNG",
+        save_all=True,
+        append_images=rest,
+        duration=1000.0 / frames_per_second,
+        loop=0,
+        compress_level=6,
+    )
+    return buffer.getvalue()
+
+
+def exr_bytes(
+    radiance: Float32[F32, "height width 3"],
+    coverage: Float32[F32, "height width"] | None = None,
+    *,
+    scratch: Path | None = None,
+) -> bytes:
+    """Encode linear radiance as a float32 OpenEXR file.
+
+    ``scratch`` holds the temporary file that the library insists on.
+    """
+    if coverage is None:
+        channels = {"RGB": np.ascontiguousarray(radiance)}
+    else:
+        rgba = np.concatenate([radiance, coverage[:, :, None]], axis=2)
+        channels = {"RGBA": np.ascontiguousarray(rgba)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        path = Path(folder) / "picture.exr"
+        with OpenEXR.File(header, channels) as file:
+            file.write(str(path))
+        return path.read_bytes()
+
+
+def read_albedo_texture(data: bytes) -> Float32[F32, "height width 3"]:
+    """Decode an 8-bit sRGB picture (PNG, JPEG) to linear Rec.709 in [0, 1].
+
+    Raises
+    ------
+    InputError
+        The bytes are no picture, or one too large.
+    """
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "BMP", "TGA", "TIFF")) as image:
+            if image.width * image.height > MAX_TEXTURE_PIXELS:
+                raise InputError(f"albedo texture of {image.width} x {image.height} pixels")
+            pixels = np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"the albedo texture is no picture: {error}") from error
+    return srgb_to_linear(pixels / 255.0)
+
+
+def side_by_side(pictures: Sequence[UInt8[U8, "height width 3"]]) -> UInt8[U8, "height total 3"]:
+    """Lay pictures of one height out in a row with a white gap."""
+    gap = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
+    row = [piece for picture in pictures for piece in (gap, picture)][1:]
+    return np.concatenate(row, axis=1)
+
+
+def difference_image(
+    test: Float32[F32, "height width 3"],
+    reference: Float32[F32, "height width 3"],
+    full_scale: float,
+) -> UInt8[U8, "height width 3"]:
+    """Show the length of the RGB difference as heat; ``full_scale`` is white."""
+    length = np.linalg.norm(test.astype(np.float64) - reference, axis=2)
+    return heat((length / full_scale).astype(np.float32))
+
+
+def heat(values: Float32[F32, "height width"]) -> UInt8[U8, "height width 3"]:
+    """Colour values in [0, 1] by a black body: black, red, yellow, white; brightness rises."""
+    level = 3.0 * np.clip(values.astype(np.float64), 0.0, 1.0)
+    ramps = [np.clip(level - channel, 0.0, 1.0) for channel in range(3)]
+    return np.rint(np.stack(ramps, axis=2) * 255.0).astype(np.uint8)
+
+
+def _save(image: Image.Image, kind: str) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, kind, compress_level=6)
+    return buffer.getvalue()
