@@ -1,12 +1,14 @@
 """Job kind ``compress``: the factors of every part, then the asset in 32 and in 16 bits."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.asset import Asset, Part
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
@@ -20,6 +22,7 @@ from prtbake_workers.brdf.view_texture import view_texture
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.jobs.inputs import versions
+from prtbake_workers.planning.presets import resolve_compression
 
 _MODULE = "prtbake_workers.jobs.compress"
 READ_VERTS = 2048
@@ -70,6 +73,50 @@ def stages(
     ]
 
 
+def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> list[Stage]:
+    """Compress an earlier job's transfer: look at its parts first, then as in an asset job."""
+    args = {"transfer": transfer, "settings": settings.model_dump(mode="json")}
+
+    def outline(_: Results) -> list[Task]:
+        return [Task(f"{_MODULE}:outline", args, label="outline")]
+
+    def plan_of(results: Results) -> tuple[str, list[dict[str, Any]]]:
+        parts = results["plan"][0]["plan"]["parts"]
+        return transfer, [part["compression"] for part in parts]
+
+    rest = stages(
+        plan_of, max_iterations=settings.max_iterations, threads=settings.threads, seed=seed
+    )
+    return [Stage("plan", "plan", 1.0, outline), *rest]
+
+
+def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: choose method, clusters and ranks of each part of a transfer file."""
+    settings = CompressSettings.model_validate(args["settings"])
+    with open_transfer(context.store.local_path(args["transfer"])) as transfer:
+        header = transfer.header
+    parts = [
+        {
+            "name": part.name,
+            "vertex_range": part.vertex_range,
+            "n_terms": part.n_terms,
+            "tiles": [],
+            "compression": asdict(
+                resolve_compression(
+                    settings,
+                    "medium",
+                    n_verts=part.n_vertices,
+                    n_terms=part.n_terms,
+                    n_coeffs=len(header.centres),
+                )
+            ),
+        }
+        for part in header.parts
+    ]
+    effects = header.provenance.get("effects", [])
+    return {"plan": {"parts": parts, "effects": effects, "notes": [], "seconds": {}}}
+
+
 def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
     """Read all whitened coefficients of a part as float32 (verts, terms, coeffs)."""
     with open_transfer(path) as transfer:
@@ -114,7 +161,6 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             compression["n_components"],
             method="static",
             seed=args["seed"],
-            progress=progress,
             vertex_weights=weights,
         )
         ranks = np.ones((cpca.n_clusters, 3), np.int32)

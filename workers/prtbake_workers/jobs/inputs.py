@@ -1,15 +1,12 @@
 """From stored blobs to the core's objects."""
 
-import io
 from importlib import metadata
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.brdf import LambertSpec, brdf_adapter
-from prtbake_storage.decode.texture import srgb_to_linear
 from prtbake_storage.errors import InputError
 from prtbake_storage.hdf5.resources import read_environment, read_mesh
 from prtbake_workers.arrays import F32
@@ -17,9 +14,7 @@ from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.mesh import Mesh
-
-MAX_TEXTURE_PIXELS = 64_000_000
-"""A texture larger than 8k x 8k is refused before it is decoded."""
+from prtbake_workers.render.images import read_albedo_texture
 
 PACKAGES = ("prtbake", "numpy", "scipy", "embreex", "trimesh", "h5py")
 
@@ -49,29 +44,11 @@ def albedo_of(spec: dict[str, Any]) -> F32:
 
 
 def load_texture(store: BlobStore, digest: str) -> F32:
-    """Decode an 8-bit sRGB picture to linear Rec.709, rows from the top.
-
-    Raises
-    ------
-    InputError
-        The blob is no picture that Pillow reads, or too large.
-    """
+    """Decode an albedo texture to linear Rec.709, rows from the top."""
     try:
-        with Image.open(io.BytesIO(store.read_bytes(digest)), formats=("PNG", "JPEG")) as image:
-            if image.width * image.height > MAX_TEXTURE_PIXELS:
-                raise InputError(
-                    f"the albedo texture has {image.width} x {image.height} pixels, "
-                    f"more than {MAX_TEXTURE_PIXELS}",
-                    pointer="/albedo_texture",
-                )
-            encoded = np.asarray(image.convert("RGB"), np.float32) / np.float32(255.0)
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"the albedo texture is not a PNG or JPEG picture: {error}", pointer="/albedo_texture"
-        ) from error
-    return srgb_to_linear(encoded)
+        return read_albedo_texture(store.read_bytes(digest))
+    except InputError as error:
+        raise InputError(error.detail, pointer="/albedo_texture") from error
 
 
 def versions() -> dict[str, str]:

@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from prtbake_storage.blobs.base import canonical_json
@@ -69,7 +70,9 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     registration = MeshRegistration.model_validate(args)
     if registration.builtin is not None:
         mesh = _builtin_mesh(registration.builtin.name, registration.builtin.tessellation)
-        _, found = repair(RawMesh(mesh.positions, mesh.faces), "builtin", orient_outward=False)
+        _, found = repair(
+            RawMesh(mesh.positions, mesh.faces.astype(np.int64)), "builtin", orient_outward=False
+        )
         report = found.to_dict()
     else:
         assert registration.blob is not None  # the contract holds exactly one source
@@ -137,8 +140,8 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     canonical = spec.model_dump(mode="json")
     understood = {
         "spec": canonical,
-        "energy": check_energy(brdf)._asdict(),
-        "reciprocity": check_reciprocity(brdf)._asdict(),
+        "energy": check_energy(brdf).to_dict(),
+        "reciprocity": check_reciprocity(brdf).to_dict(),
     }
     return {
         "understood": json.loads(canonical_json(understood)),

@@ -1,7 +1,10 @@
 """Job kind ``render``: previews and turntables from an asset and a light."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from prtbake_storage.contract.settings import RenderSettings
 from prtbake_storage.decode.relight import rotation_matrix, whitened_light
@@ -10,10 +13,20 @@ from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.render.images import auto_exposure, exr_bytes, png_bytes, tone_map
+from prtbake_workers.render.camera import framing_bounds, pinhole
+from prtbake_workers.render.images import (
+    animation_bytes,
+    auto_exposure,
+    exr_bytes,
+    png_bytes,
+    to_srgb8,
+)
 from prtbake_workers.render.renderer import open_renderer
 
 _MODULE = "prtbake_workers.jobs.render"
+SAMPLES = 2
+"""Points a pixel, along each side."""
+FRAMES_PER_SECOND = 15.0
 
 
 def stages(inputs_of: Callable[[Results], dict[str, Any]], settings: RenderSettings) -> list[Stage]:
@@ -27,7 +40,7 @@ def stages(inputs_of: Callable[[Results], dict[str, Any]], settings: RenderSetti
 
 
 def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: one PNG and one EXR a camera, then the turntable's PNGs with the light turning."""
+    """Task: one PNG and one EXR a camera, then an animated PNG with the light turning."""
     settings = RenderSettings.model_validate(args["settings"])
     asset = read_asset(context.store.local_path(args["asset"]))
     light = read_light(context.store.local_path(args["light"]))
@@ -36,42 +49,50 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     frames = settings.turntable_frames
     total = len(settings.cameras) + frames
     pictures = []
-    with open_renderer(
-        asset, settings.width, settings.height, backend=settings.backend
-    ) as renderer:
+    bounds = framing_bounds(asset.positions.astype(np.float64), asset.parts[0].vertex_range)
+    width, height = settings.width, settings.height
+    views = [pinhole(camera, width, height, bounds) for camera in settings.cameras]
+    with open_renderer(asset, settings.backend) as renderer:
         renderer.set_light(whitened_light(asset, light, base, roots=roots))
         exposure = settings.exposure
-        for camera in settings.cameras:
-            image = renderer.render(camera)
-            exposure = exposure or auto_exposure(image)
+        for camera, view in zip(settings.cameras, views, strict=True):
+            picture = renderer.render(view, width, height, samples=SAMPLES)
+            exposure = exposure or auto_exposure(picture.radiance, picture.coverage)
+            pixels = to_srgb8(picture.radiance, exposure)
             pictures.append(
                 {
                     "name": f"preview-{camera.name}.png",
                     "media_type": "image/png",
-                    "digest": context.store.put_bytes(png_bytes(tone_map(image, exposure))),
+                    "digest": context.store.put_bytes(png_bytes(pixels, picture.coverage)),
                 }
             )
             pictures.append(
                 {
                     "name": f"preview-{camera.name}.exr",
                     "media_type": "image/x-exr",
-                    "digest": context.store.put_bytes(exr_bytes(image, context.scratch)),
-                }
-            )
-            context.progress(len(pictures) / 2, total, "pictures")
-        for frame in range(frames):
-            turn = rotation_matrix((0.0, 360.0 * frame / frames, 0.0))
-            renderer.set_light(whitened_light(asset, light, turn @ base, roots=roots))
-            image = renderer.render(settings.cameras[0])
-            pictures.append(
-                {
-                    "name": f"turntable-{frame:03d}.png",
-                    "media_type": "image/png",
                     "digest": context.store.put_bytes(
-                        png_bytes(tone_map(image, exposure or auto_exposure(image)))
+                        exr_bytes(picture.radiance, picture.coverage, scratch=context.scratch)
                     ),
                 }
             )
+            context.progress(len(pictures) / 2, total, "pictures")
+        turntable = []
+        for frame in range(frames):
+            turn = rotation_matrix((0.0, 360.0 * frame / frames, 0.0))
+            renderer.set_light(whitened_light(asset, light, turn @ base, roots=roots))
+            picture = renderer.render(views[0], width, height, samples=SAMPLES)
+            exposure = exposure or auto_exposure(picture.radiance, picture.coverage)
+            turntable.append(to_srgb8(picture.radiance, exposure))
             context.progress(len(settings.cameras) + frame + 1, total, "pictures")
-        info = renderer.info.to_dict()
+        if turntable:
+            pictures.append(
+                {
+                    "name": "turntable.png",
+                    "media_type": "image/apng",
+                    "digest": context.store.put_bytes(
+                        animation_bytes(turntable, FRAMES_PER_SECOND)
+                    ),
+                }
+            )
+        info = asdict(renderer.info)
     return {"pictures": pictures, "renderer": info, "exposure": exposure}

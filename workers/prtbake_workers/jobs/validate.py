@@ -24,13 +24,21 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.compress import VIEW_TEXTURE_RESOLUTION
 from prtbake_workers.jobs.inputs import load_brdf, load_environment
 from prtbake_workers.jobs.scene_file import occluder_accelerator
-from prtbake_workers.render.images import auto_exposure, difference_image, png_bytes, side_by_side
-from prtbake_workers.render.metrics import flip, psnr, rel_mse, relative_l2
+from prtbake_workers.render.images import (
+    auto_exposure,
+    difference_image,
+    png_bytes,
+    side_by_side,
+    to_srgb8,
+)
+from prtbake_workers.render.metrics import compare
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.validation.chain import ValidatedView, validate_camera
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 
 _MODULE = "prtbake_workers.jobs.validate"
+DIFFERENCE_SCALE = 0.25
+"""Exposed difference that the heat picture shows as white."""
 
 
 def stages(
@@ -83,29 +91,17 @@ def validate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 def _report(name: str, view: ValidatedView, store: BlobStore) -> dict[str, Any]:
-    exposure = auto_exposure(view.reference)
     reference, delivered = view.reference, view.delivered
-    ratio = psnr(reference, delivered)
+    exposure = auto_exposure(reference, view.coverage.astype(np.float32))
+    pictures = [to_srgb8(picture, exposure) for picture in (reference, delivered)]
+    pictures.append(difference_image(delivered, reference, DIFFERENCE_SCALE / exposure))
     return {
         "picture": name,
         "hits": view.n_hits,
         "budget": view.budget.to_dict(),
-        "metrics": {
-            "l2": relative_l2(reference, delivered),
-            "rel_mse": rel_mse(reference, delivered),
-            "psnr": ratio if np.isfinite(ratio) else None,
-            "flip": flip(reference, delivered),
-        },
+        "metrics": compare(delivered, reference, view.coverage, exposure=exposure).to_dict(),
         "exposure": exposure,
-        "pictures": {
-            f"{name}.png": store.put_bytes(
-                png_bytes(
-                    side_by_side(
-                        [reference, delivered, difference_image(reference, delivered)], exposure
-                    )
-                )
-            ),
-        },
+        "pictures": {f"{name}.png": store.put_bytes(png_bytes(side_by_side(pictures)))},
     }
 
 

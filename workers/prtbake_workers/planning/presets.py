@@ -5,7 +5,7 @@ supersampled visibility; the steps below and above it change directions, centres
 and lobes together, so that no single stage dominates the error of a step.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from prtbake_storage.contract.settings import (
@@ -28,6 +28,11 @@ class StageSettings:
     fit_light: FitLightSettings
     render: RenderSettings
     validation: ValidateSettings
+
+    @classmethod
+    def for_bake(cls, bake: BakeSettings) -> "StageSettings":
+        """Complete the settings of a lone bake with those of ``medium``, for predictions."""
+        return replace(resolve_stages("medium", AssetSettings()), bake=bake)
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "StageSettings":

@@ -31,7 +31,7 @@ class SurfacePoints:
     """Unit geometric normals turned to the shading normal's side; shadow rays start off it."""
 
     def __len__(self) -> int:
-        return self.positions.shape[0]
+        return len(self.positions)
 
     def block(self, which: slice | I64) -> "SurfacePoints":
         """Return some of the points."""
@@ -79,4 +79,4 @@ def to_local(
     frames: Float64[F64, "points 3 3"], directions: Float64[F64, "samples 3"]
 ) -> Float64[F64, "points samples 3"]:
     """Express shared world directions in every point's own frame."""
-    return np.einsum("pij,sj->psi", frames, directions, optimize=True)
+    return np.asarray(np.einsum("pij,sj->psi", frames, directions, optimize=True))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_storage.contract.settings import Camera, ValidateSettings
-from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.validation.budget import Budget, ChainPicture, make_budget
@@ -48,6 +48,7 @@ class ValidatedView:
     chain: tuple[ChainPicture, ...]
     reference: Float32[F32, "height width 3"]
     delivered: Float32[F32, "height width 3"]
+    coverage: Bool[B8, "height width"]
     n_hits: int
 
 
@@ -93,6 +94,7 @@ def validate_camera(
                 chain=pictures,
                 reference=hits.picture(pictures[0].mean),
                 delivered=hits.picture(pictures[-1].mean),
+                coverage=hits.coverage,
                 n_hits=len(hits.pixels),
             )
         )

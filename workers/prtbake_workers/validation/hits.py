@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_storage.contract.settings import Camera
-from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
 from prtbake_workers.geometry.frames import tangent_frames
-from prtbake_workers.render.camera import camera_rays
+from prtbake_workers.render.camera import camera_rays, framing_bounds
 from prtbake_workers.transport.reference import SurfacePoints
 from prtbake_workers.validation.scene import ValidationScene
 
@@ -37,6 +37,13 @@ class PixelHits:
         first, last = np.searchsorted(self.vertices, [start, stop])
         return self.vertices[first:last]
 
+    @property
+    def coverage(self) -> Bool[B8, "height width"]:
+        """The pixels that show the scene."""
+        covered = np.zeros(self.height * self.width, np.bool_)
+        covered[self.pixels] = True
+        return covered.reshape(self.height, self.width)
+
     def picture(self, colours: Float64[F64, "hits 3"]) -> Float32[F32, "height width 3"]:
         """Lay the colours of the hits out as a picture; everything else is black."""
         image = np.zeros((self.height * self.width, 3), np.float32)
@@ -47,7 +54,8 @@ class PixelHits:
 def trace_camera(validation: ValidationScene, camera: Camera, width: int, height: int) -> PixelHits:
     """Trace one ray through every pixel centre and keep the hits that face the eye."""
     scene = validation.scene
-    origins, directions = camera_rays(camera, width, height, scene.bounds)
+    object_bounds = framing_bounds(scene.positions, scene.part_ranges[0])
+    origins, directions = camera_rays(camera, width, height, object_bounds)
     hits = validation.accelerator.intersect(
         np.asarray(origins, np.float32), np.asarray(directions, np.float32)
     )

@@ -1,0 +1,99 @@
+"""Both directions: a skipped effect changes nothing, a needed one is not skipped."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.settings import Effects
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.mesh import Mesh, vertex_normals
+from prtbake_workers.geometry.primitives import sphere_mesh
+from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
+from prtbake_workers.planning.effects import convexity_defect, decide_effects, probe_occlusion
+from prtbake_workers.planning.plan import occluders_of
+
+
+def decisions(meshes, *, watertight, requested=None, terms=None):
+    scene = Scene.from_parts(meshes)
+    found = decide_effects(
+        meshes,
+        scene,
+        Accelerator(scene.positions, scene.faces),
+        part_terms=terms or [1] * len(meshes),
+        watertight=watertight,
+        requested=requested or Effects(),
+        seed=0,
+    )
+    return {decision.effect: decision for decision in found}, found, scene
+
+
+def dented_sphere():
+    ball = sphere_mesh(3)
+    positions = ball.positions.copy()
+    positions[ball.positions[:, 1] > 1.8, 1] -= 0.7
+    return Mesh(positions, ball.faces, vertex_normals(positions, ball.faces), None)
+
+
+def test_a_closed_convex_mesh_needs_no_ray_and_loses_nothing_by_it():
+    ball = sphere_mesh(3)
+    by_name, found, scene = decisions([ball], watertight=True)
+    assert not by_name["self_shadowing"].taken
+    assert occluders_of(0, 1, found) == ()
+    # the other direction: the rays that were saved would all have escaped
+    ratio, blocked, rays = probe_occlusion(
+        scene, Accelerator(scene.positions, scene.faces), (0, scene.n_vertices), seed=7
+    )
+    assert rays > 10_000
+    assert blocked == 0.0
+    assert ratio == 0.0
+
+
+def test_a_dent_calls_for_self_shadowing_and_says_what_it_would_cost():
+    by_name, _, _ = decisions([dented_sphere()], watertight=True)
+    decision = by_name["self_shadowing"]
+    assert decision.taken
+    assert decision.predicted_error_otherwise > 0.001
+    assert decision.evidence["blocked_share"] > 0.0
+
+
+def test_an_open_mesh_is_never_called_convex():
+    ball = sphere_mesh(2)
+    by_name, _, _ = decisions([ball], watertight=False)
+    assert by_name["self_shadowing"].taken
+
+
+def test_a_receiver_brings_shadows_both_ways_even_to_a_convex_object():
+    ball = sphere_mesh(3)
+    plane = receiver_plane(ball.bounds, resolution=16, extent=2.0, gap=0.0)
+    by_name, found, _ = decisions([ball, plane], watertight=True)
+    assert by_name["receiver_shadows"].taken
+    assert occluders_of(0, 2, found) == (1,)
+    assert occluders_of(1, 2, found) == (0,)
+
+
+def test_forcing_an_effect_off_reports_the_error_it_was_predicted_to_cost():
+    pot = teapot(6)
+    by_name, found, _ = decisions([pot], watertight=False, requested=Effects(self_shadowing="off"))
+    decision = by_name["self_shadowing"]
+    assert (decision.taken, decision.forced) == (False, True)
+    assert decision.predicted_error_otherwise > 0.01
+    assert occluders_of(0, 1, found) == ()
+
+
+def test_glossy_parts_need_frames_and_view_dependence():
+    by_name, _, _ = decisions([sphere_mesh(2)], watertight=True, terms=[9])
+    assert by_name["view_dependence"].taken
+    assert by_name["tangent_frames"].taken
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_convexity_does_not_depend_on_scale(scale):
+    ball, dent = sphere_mesh(3), dented_sphere()
+    assert convexity_defect(Mesh(ball.positions * scale, ball.faces, ball.normals, None)) < 1e-6
+    assert convexity_defect(Mesh(dent.positions * scale, dent.faces, dent.normals, None)) > 1e-3
+
+
+def test_a_flat_mesh_has_no_hull_and_is_not_called_convex():
+    plane = receiver_plane(np.array([[-1.0, 0, -1], [1, 0, 1]]), resolution=4, extent=1.0, gap=0.0)
+    assert convexity_defect(plane) == float("inf")

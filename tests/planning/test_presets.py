@@ -1,0 +1,56 @@
+from itertools import pairwise
+
+import pytest
+from pydantic import ValidationError
+
+from prtbake_storage.contract.settings import AssetSettings, CompressSettings
+from prtbake_workers.planning.presets import LADDER, resolve_compression, resolve_stages
+
+
+def test_every_step_of_the_ladder_resolves_and_grows():
+    steps = [resolve_stages(quality, AssetSettings()) for quality in LADDER]
+    for lower, upper in pairwise(steps):
+        assert lower.bake.cube_resolution <= upper.bake.cube_resolution
+        assert lower.bake.term_energy_lost > upper.bake.term_energy_lost
+        assert lower.fit_light.n_lobes < upper.fit_light.n_lobes
+
+
+def test_overrides_replace_only_the_fields_given():
+    plain = resolve_stages("medium", AssetSettings())
+    changed = resolve_stages("medium", AssetSettings(bake={"n_centres": 162}))
+    assert changed.bake.n_centres == 162
+    assert changed.bake.cube_resolution == plain.bake.cube_resolution
+    assert changed.compress == plain.compress
+
+
+def test_a_given_number_of_terms_takes_the_place_of_the_energy():
+    settings = resolve_stages("medium", AssetSettings(bake={"n_terms": 16}))
+    assert settings.bake.n_terms == 16
+    assert settings.bake.term_energy_lost is None
+
+
+@pytest.mark.parametrize(
+    ("stage", "fields"),
+    [("bake", {"n_centres": 100}), ("compress", {"ranks": [0, 1, 1]}), ("bake", {"nonsense": 1})],
+)
+def test_illegal_overrides_are_refused_at_submission(stage, fields):
+    with pytest.raises(ValidationError, match=stage):
+        AssetSettings(**{stage: fields})
+
+
+def test_compression_follows_the_number_of_terms_and_vertices():
+    glossy = resolve_compression(
+        CompressSettings(), "medium", n_verts=34_834, n_terms=16, n_coeffs=642
+    )
+    assert (glossy.method, glossy.n_clusters, glossy.ranks) == ("cta", 97, (8, 48, 24))
+    diffuse = resolve_compression(CompressSettings(), "medium", n_verts=10, n_terms=1, n_coeffs=12)
+    assert diffuse.method == "cpca"
+    assert diffuse.n_clusters >= 1
+    assert diffuse.n_components == 12
+
+
+def test_ranks_and_clusters_are_cut_to_what_the_data_holds():
+    settings = CompressSettings(n_clusters=100, ranks=(8, 48, 24))
+    cut = resolve_compression(settings, "medium", n_verts=7, n_terms=3, n_coeffs=12)
+    assert cut.n_clusters == 7
+    assert cut.ranks == (3, 12, 24)

@@ -1,0 +1,35 @@
+"""Run a job's stages in this process: the same task functions, without queue or children."""
+
+import importlib
+import json
+import time
+from typing import Any
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Measured, Results, Stage
+from prtbake_workers.jobs import register
+
+
+def run_stages(stages: list[Stage], store: BlobStore) -> Results:
+    """Run every task of every stage in order; arguments and results pass through JSON."""
+    results = Results()
+    for stage in stages:
+        values, measured = [], []
+        for task in stage.tasks(results):
+            module, name = task.function.split(":")
+            function = getattr(importlib.import_module(module), name)
+            began = time.perf_counter()
+            with store.scratch() as scratch:
+                context = TaskContext(store, scratch, lambda _: None)
+                value = function(json.loads(json.dumps(task.args)), context)
+            values.append(json.loads(json.dumps(value)))
+            measured.append(Measured(time.perf_counter() - began, 1))
+        results.add(stage.name, values, measured)
+    return results
+
+
+def registered(store: BlobStore, kind: str, **registration: Any) -> dict[str, Any]:
+    """Register a resource; returns what was understood and its canonical digest."""
+    request = {"resource_kind": kind, "registration": registration}
+    return run_stages(register.stages(request, {}), store)["parse"][0]

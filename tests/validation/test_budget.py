@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from prtbake_workers.validation.budget import ChainPicture, make_budget, pool_budgets
+
+HITS = 400
+
+
+def noisy(rng, picture, n_passes, sigma):
+    return picture + sigma * rng.standard_normal((n_passes, *picture.shape))
+
+
+@pytest.fixture
+def truth(rng):
+    return 1.0 + rng.random((HITS, 3))
+
+
+def test_lines_of_a_known_chain_are_found(rng, truth):
+    step = 0.01 * rng.standard_normal(truth.shape)
+    chain = [ChainPicture("reference", truth[None]), ChainPicture("a", (truth + step)[None])]
+    budget = make_budget(chain)
+    expected = np.linalg.norm(step) / np.linalg.norm(truth)
+    assert budget.lines[0].error == pytest.approx(expected, rel=1e-12)
+    assert budget.total == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_variance_of_the_reference_is_subtracted(rng, truth):
+    """Noise ten times the true step: the estimate still finds it, the plain difference does not."""
+    step = 0.01 * rng.standard_normal(truth.shape)
+    passes = noisy(rng, truth, 64, 0.2)
+    plain = np.linalg.norm(passes.mean(axis=0) - truth - step) / np.linalg.norm(truth)
+    budget = make_budget(
+        [ChainPicture("reference", passes), ChainPicture("asset", (truth + step)[None])]
+    )
+    expected = np.linalg.norm(step) / np.linalg.norm(truth)
+    # standard error of the subtracted square is sqrt(2 / 1200) of the noise's square, 6.3 x the step's
+    assert budget.total == pytest.approx(expected, rel=0.35)
+    assert plain > 2.0 * expected  # the negative twin: without the subtraction it is wrong
+
+
+def test_shared_samples_cancel_in_a_line(rng, truth):
+    noise = 0.3 * rng.standard_normal((16, *truth.shape))
+    step = 0.001 * np.ones_like(truth)
+    budget = make_budget(
+        [ChainPicture("reference", truth + noise), ChainPicture("terms", truth + noise + step)]
+    )
+    expected = np.linalg.norm(step) / np.linalg.norm(truth)
+    assert budget.lines[0].error == pytest.approx(expected, rel=0.01)  # of the norm's own noise
+    assert budget.lines[0].noise < 1e-12
+
+
+def test_a_difference_of_pure_noise_is_marked_as_such(rng, truth):
+    chain = [
+        ChainPicture("reference", noisy(rng, truth, 8, 0.1)),
+        ChainPicture("same", noisy(rng, truth, 8, 0.1)),
+    ]
+    assert make_budget(chain).lines[0].below_noise
+
+
+def test_the_total_is_at_most_the_sum_of_the_lines(rng, truth):
+    pictures = [truth]
+    for _ in range(5):
+        pictures.append(pictures[-1] + 0.02 * rng.standard_normal(truth.shape))
+    budget = make_budget([ChainPicture(str(i), p[None]) for i, p in enumerate(pictures)])
+    assert budget.total <= budget.sum_of_lines * (1 + 1e-12)
+    assert budget.total >= budget.sum_of_lines / 3
+
+
+def test_a_black_scene_has_no_error(truth):
+    black = np.zeros((1, HITS, 3))
+    budget = make_budget([ChainPicture("reference", black), ChainPicture("asset", black)])
+    assert budget.total == 0.0
+    assert pool_budgets([budget, budget]).total == 0.0
+
+
+def test_pooling_is_the_norm_over_all_pixels(rng, truth):
+    steps = [0.01 * rng.standard_normal(truth.shape), 0.05 * rng.standard_normal(truth.shape)]
+    bright = 10.0 * truth
+    pairs = [(truth, truth + steps[0]), (bright, bright + steps[1])]
+    pooled = pool_budgets(
+        [make_budget([ChainPicture("r", a[None]), ChainPicture("x", b[None])]) for a, b in pairs]
+    )
+    together = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+    expected = np.linalg.norm(together[1] - together[0]) / np.linalg.norm(together[0])
+    assert pooled.total == pytest.approx(expected, rel=1e-12)
+
+
+def test_pictures_with_other_numbers_of_passes_are_refused(truth):
+    with pytest.raises(ValueError, match="2 passes, b 3"):
+        make_budget(
+            [
+                ChainPicture("a", np.repeat(truth[None], 2, 0)),
+                ChainPicture("b", np.repeat(truth[None], 3, 0)),
+            ]
+        )

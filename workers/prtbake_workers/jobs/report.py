@@ -1,0 +1,156 @@
+"""The last stage of every job: ``report.json``, and ``report.html`` with the pictures."""
+
+import json
+from typing import Any
+
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
+from prtbake_workers.report.account import (
+    StageAccount,
+    make_report,
+    part_accounts,
+    projection_errors,
+)
+from prtbake_workers.report.html import report_page
+
+_MODULE = "prtbake_workers.jobs.report"
+
+
+def stage(title: str) -> Stage:
+    """Gather what the stages before left, whichever they were."""
+
+    def report(results: Results) -> list[Task]:
+        return [Task(f"{_MODULE}:write", gather(title, results), label="report")]
+
+    return Stage("report", "report", 1.0, report)
+
+
+def gather(title: str, results: Results) -> dict[str, Any]:
+    """Turn results into the arguments of the report: a pure function, without I/O."""
+    plan = results["plan"][0]["plan"] if "plan" in results else None
+    return {
+        "title": title,
+        "stages": [_stage_account(name, results, plan) for name in results],
+        "plan": plan,
+        "tiles": [
+            {name: tile[name] for name in ("signal", "residual", "counters")}
+            for tile in results.get("bake", [])
+        ],
+        "compressed": [
+            {
+                name: part[name]
+                for name in (
+                    "method", "clusters", "objective", "factor_bytes", "transfer_bytes", "notes",
+                )
+            }
+            for part in results.get("compress", [])
+        ],
+        "views": [view for camera in results.get("validate", []) for view in camera["views"]],
+        "previews": results["render"][0]["pictures"] if "render" in results else [],
+        "renderer": results["render"][0]["renderer"] if "render" in results else None,
+        "sizes": {
+            f"{name}.h5": results[stage][0]["bytes"]
+            for stage, name in (("join", "transfer"), ("quantise", "asset"), ("fit_light", "light"))
+            if stage in results
+        },
+    }  # fmt: skip
+
+
+def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> dict[str, Any]:
+    measured = results.measured(name)
+    errors: dict[str, float] = {}
+    for result in results[name]:
+        errors |= result.get("errors", {})
+    if name == "bake" and plan is not None:
+        errors = projection_errors(plan["parts"], results["bake"])
+    sizes = [result["bytes"] for result in results[name] if "bytes" in result]
+    return {
+        "name": name,
+        "tiles": len(results[name]),
+        "seconds": sum(one.seconds for one in measured),
+        "peak_memory_bytes": max((one.peak_memory_bytes for one in measured), default=0),
+        "predicted_seconds": plan["seconds"].get(name) if plan else None,
+        "bytes": sum(sizes) if sizes else None,
+        "errors": errors,
+    }
+
+
+def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: write the report as JSON and as a page."""
+    plan = args["plan"] or {"parts": [], "effects": [], "notes": []}
+    counters: dict[str, float] = {}
+    for tile in args["tiles"]:
+        for name, value in tile["counters"].items():
+            counters[name] = counters.get(name, 0) + value
+    notes = list(plan["notes"])
+    for part in args["compressed"]:
+        notes += part["notes"]
+    if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
+        notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
+    report = make_report(
+        title=args["title"],
+        stages=[StageAccount(**stage) for stage in args["stages"]],
+        parts=part_accounts(plan["parts"], args["compressed"]) if args["compressed"] else [],
+        effects=plan["effects"],
+        views=args["views"],
+        sizes=args["sizes"],
+        renderer=args["renderer"],
+        counters=counters,
+        notes=notes,
+    )
+    pictures = {
+        picture["name"]: context.store.read_bytes(picture["digest"])
+        for picture in args["previews"]
+        if picture["media_type"] == "image/png" and picture["name"].startswith("preview")
+    }
+    for view in args["views"]:
+        for name, digest in view["pictures"].items():
+            pictures[f"{name.removesuffix('.png')}: reference, asset, difference"] = (
+                context.store.read_bytes(digest)
+            )
+    page = report_page(report, pictures)
+    return {
+        "report": report,
+        "json": context.store.put_bytes(json.dumps(report, indent=1).encode()),
+        "html": context.store.put_bytes(page.encode()),
+    }
+
+
+def artefacts(results: Results) -> list[ArtefactFile]:
+    """List every file that the stages left."""
+    files = [
+        ArtefactFile(f"{name}.h5", "application/x-hdf5", results[stage][0][key])
+        for stage, name, key in (
+            ("join", "transfer", "transfer"),
+            ("quantise", "asset", "asset"),
+            ("quantise", "asset-float32", "exact"),
+            ("fit_light", "light", "light"),
+        )
+        if stage in results
+    ]
+    if "render" in results:
+        files += [
+            ArtefactFile(picture["name"], picture["media_type"], picture["digest"])
+            for picture in results["render"][0]["pictures"]
+        ]
+    for camera in results.get("validate", []):
+        for view in camera["views"]:
+            files += [
+                ArtefactFile(f"validation-{name}", "image/png", digest)
+                for name, digest in view["pictures"].items()
+            ]
+    (report,) = results["report"]
+    return [
+        *files,
+        ArtefactFile("report.json", "application/json", report["json"]),
+        ArtefactFile("report.html", "text/html", report["html"]),
+    ]
+
+
+def summary(results: Results) -> dict[str, Any]:
+    """Give the part of the report that a job carries as its result."""
+    (written,) = results["report"]
+    report = written["report"]
+    names = ("summary", "errors", "budget", "bytes", "seconds", "effects", "metrics", "parts",
+             "peak_memory_bytes", "renderer", "notes")  # fmt: skip
+    return {name: report[name] for name in names}

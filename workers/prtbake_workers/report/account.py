@@ -1,0 +1,124 @@
+"""The account of a job: what every stage cost, what error it left, and where the total comes from.
+
+Everything here is plain JSON from the stages' results; nothing is measured anew.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from prtbake_workers.validation.budget import Budget, BudgetLine, pool_budgets
+
+
+@dataclass(frozen=True)
+class StageAccount:
+    """One stage: seconds of work summed over tiles, the largest tile's memory, its own errors."""
+
+    name: str
+    tiles: int
+    seconds: float
+    peak_memory_bytes: int
+    predicted_seconds: float | None = None
+    bytes: int | None = None
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+def projection_errors(
+    parts: Sequence[Mapping[str, Any]], tiles: Sequence[Mapping[str, Any]]
+) -> dict[str, float]:
+    """Return each part's squared-error ratio of the projection, summed over its tiles."""
+    done = iter(tiles)
+    errors = {}
+    for part in parts:
+        own = [next(done) for _ in part["tiles"]]
+        signal = sum(tile["signal"] for tile in own)
+        errors[part["name"]] = sum(tile["residual"] for tile in own) / signal if signal else 0.0
+    return errors
+
+
+def part_accounts(
+    parts: Sequence[Mapping[str, Any]], compressed: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Say of each part how it was compressed, and how far."""
+    accounts = []
+    for part, factors in zip(parts, compressed, strict=True):
+        start, stop = part["vertex_range"]
+        compression = part["compression"]
+        cta = factors["method"] == "cta"
+        accounts.append(
+            {
+                "name": part["name"],
+                "vertices": stop - start,
+                "terms": part["n_terms"],
+                "method": factors["method"],
+                "clusters": factors["clusters"],
+                "ranks": " x ".join(map(str, compression["ranks"]))
+                if cta
+                else str(compression["n_components"]),
+                "compression_ratio": factors["transfer_bytes"] / max(1, factors["factor_bytes"]),
+                "objective": factors["objective"],
+                "notes": factors["notes"],
+            }
+        )
+    return accounts
+
+
+def pooled_budget(views: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Pool the budgets of all pictures into one."""
+    budgets = [
+        Budget(
+            lines=tuple(BudgetLine(**line) for line in view["budget"]["lines"]),
+            **{
+                name: view["budget"][name]
+                for name in ("total", "total_noise", "reference_noise", "squared_reference")
+            },
+        )
+        for view in views
+    ]
+    return pool_budgets(budgets).to_dict()
+
+
+def make_report(
+    *,
+    title: str,
+    stages: Sequence[StageAccount],
+    parts: Sequence[Mapping[str, Any]] = (),
+    effects: Sequence[Mapping[str, Any]] = (),
+    views: Sequence[Mapping[str, Any]] = (),
+    settings: Mapping[str, Any] | None = None,
+    sizes: Mapping[str, int] | None = None,
+    renderer: Mapping[str, Any] | None = None,
+    counters: Mapping[str, float] | None = None,
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Put the account together; every key is there whatever the job did."""
+    budget = pooled_budget(views) if views else None
+    seconds = sum(stage.seconds for stage in stages)
+    peak = max((stage.peak_memory_bytes for stage in stages), default=0)
+    summary = f"{seconds:.0f} s of work, at most {peak / 2**30:.2f} GiB in one process."
+    if budget is not None:
+        summary += (
+            f" Over {len(views)} pictures the delivered asset is "
+            f"{100 * budget['total']:.2g} % from the reference (relative L2)."
+        )
+    return {
+        "title": title,
+        "summary": summary,
+        "stages": [asdict(stage) for stage in stages],
+        "errors": {stage.name: stage.errors for stage in stages if stage.errors},
+        "seconds": {stage.name: stage.seconds for stage in stages} | {"total": seconds},
+        "bytes": dict(sizes or {}),
+        "peak_memory_bytes": peak,
+        "parts": list(parts),
+        "effects": list(effects),
+        "budget": budget,
+        "views": [
+            {name: view[name] for name in ("picture", "hits", "budget", "metrics", "exposure")}
+            for view in views
+        ],
+        "metrics": [{"picture": view["picture"], **view["metrics"]} for view in views],
+        "renderer": dict(renderer) if renderer else None,
+        "counters": dict(counters or {}),
+        "settings": dict(settings or {}),
+        "notes": list(notes),
+    }
