@@ -1,0 +1,366 @@
+"""Transport: shadow rays beside bare Embree, the projection beside its dense product, the bake.
+
+The mesh is the bunny of the real-data folder where ``PRTBAKE_DATA`` names one, else a teapot of as
+many vertices.  The unit of the bake is the classification product of the compression, measured in
+the same run.  Two threads throughout.
+"""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from harness import Row, best_time, in_child
+from threadpoolctl import threadpool_limits
+
+from prtbake_workers.basis.projection import SrbfProjection
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_workers.geometry.loading import load_mesh
+from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
+from prtbake_workers.transport.bake import CHUNK_BYTES, bake_block
+from prtbake_workers.transport.directions import CubeDirections, cube_directions
+from prtbake_workers.transport.left_side import (
+    Sampling,
+    Workspace,
+    local_directions,
+    visible_share,
+    weighted_transport,
+)
+from prtbake_workers.transport.projection import VertexGroup, plan_projection
+from prtbake_workers.transport.quantise import quantise_transfer
+from prtbake_workers.transport.visibility import padded_directions, visible_fraction
+
+THREADS = 2
+N_VERTICES = 34_834
+UNIT_SHAPE = (N_VERTICES, 5136, 2328)
+LEAST_RAY_SHARE = 0.7
+MOST_PRODUCT_SHARE = 0.8
+MOST_BAKE_UNITS = 20.0
+MOST_TILE_BYTES = 3 << 29
+MOST_PROJECTION_ERROR = 0.015
+SEED = 0
+
+
+class Size(NamedTuple):
+    n_rays_vertices: int
+    n_product_vertices: int
+    tile_vertices: int
+    n_tiles: int | None
+    """None bakes them all."""
+    unit_share: int
+    """The unit is measured on this part of its rows."""
+
+
+FULL = Size(1200, 2048, 4096, None, 4)
+QUICK = Size(200, 512, 512, 1, 32)
+
+
+def rows(quick: bool) -> list[Row]:
+    """Return the table of this benchmark; limits on times at full size only."""
+    rays = in_child(__file__, "measure_rays", quick=quick)
+    product = in_child(__file__, "measure_product", quick=quick)
+    unit = in_child(__file__, "measure_unit", quick=quick)
+    bake = in_child(__file__, "measure_bake", quick=quick)
+    gib = 1 << 30
+    table = []
+    for threads in ("1", "2"):
+        of = rays[threads]
+        table += [
+            Row(
+                f"bare embreex, {threads} thread(s)",
+                seconds=of["bare"],
+                measured=rays["rays"] / of["bare"] / 1e6,
+                unit="Mray/s",
+                limit_description=f"{rays['rays']} rays in prebuilt arrays",
+            ),
+            Row(
+                f"visibility, {threads} thread(s)",
+                seconds=of["ours"],
+                measured=of["bare"] / of["ours"],
+                unit="of bare",
+                limit=None if quick else LEAST_RAY_SHARE,
+                limit_is="at least",
+                limit_description="same rays and threads, masks and scatter included",
+            ),
+        ]
+    table += [
+        Row(
+            "dense product",
+            seconds=product["dense"],
+            measured=product["gflops"],
+            unit="GFlop/s",
+            limit_description=f"{product['rows']} x 6144 x 642, float32",
+        ),
+        Row(
+            "projection product",
+            seconds=product["ours"],
+            measured=product["ours"] / product["dense"],
+            unit="of dense",
+            limit=None if quick else MOST_PRODUCT_SHARE,
+            limit_description=f"{100 * product['share']:.1f} % of its multiplications",
+        ),
+        Row(
+            "left side",
+            seconds=product["left"],
+            measured=product["left"] / product["dense"],
+            unit="of dense",
+            limit_description="psi V cos, its energy included",
+        ),
+        Row(
+            "residual energy",
+            seconds=product["residual"],
+            measured=product["residual"] / product["dense"],
+            unit="of dense",
+        ),
+        Row(
+            "classification product (unit)",
+            seconds=unit["seconds"],
+            measured=unit["gflops"],
+            unit="GFlop/s",
+            limit_description="34,834 x 5,136 x 2,328, float32",
+        ),
+        Row(
+            f"bake of {bake['vertices']} vertices",
+            seconds=bake["seconds"],
+            measured=(bake["set_up"] + _scaled(bake)) / unit["seconds"],
+            unit="units",
+            limit=None if quick else MOST_BAKE_UNITS,
+            limit_description="with its set-up, scaled to 34,834 vertices",
+            error=bake["error"],
+        ),
+        Row(
+            "projection error",
+            measured=100.0 * bake["error"],
+            unit="%",
+            limit=100.0 * MOST_PROJECTION_ERROR,
+            limit_description="squared radiance error, area-weighted",
+            error=bake["error"],
+        ),
+        Row("16-bit coefficients", error=bake["quantisation"], limit_description="their own error"),
+        Row(
+            f"peak memory of a tile of {bake['tile']}",
+            measured=bake["peak_memory_bytes"] / gib,
+            unit="GiB",
+            limit=MOST_TILE_BYTES / gib,
+            peak_memory_bytes=bake["peak_memory_bytes"],
+            limit_description="16 terms x 642, quantised too",
+        ),
+    ]
+    return table
+
+
+def measure_rays(*, quick: bool) -> dict[str, Any]:
+    """Time shadow rays: bare calls on prebuilt arrays in Embree's own frame, and ours."""
+    scene, cube = _scene(quick), cube_directions(32)
+    vertices = _spread(scene, (QUICK if quick else FULL).n_rays_vertices)
+    points, normals = scene.positions[vertices], scene.normals[vertices]
+    origins = offset_origins(points, normals, ray_epsilon(scene.bounds))
+    normals32, directions = normals.astype(np.float32), cube.directions.astype(np.float32)
+    cosines = normals32 @ directions.T
+    accelerator = Accelerator(scene.positions, scene.faces)
+    samples, out = padded_directions(cube.sub_directions(1)), np.empty_like(cosines)
+
+    def ours(part: slice) -> int:
+        return visible_fraction(
+            accelerator, origins[part], normals32[part], cosines[part], samples, out[part]
+        )
+
+    centre, scale = scene.bounds.mean(axis=0), 1.0 / scene.diagonal
+    bare_scene = EmbreeScene()
+    moved = ((scene.positions - centre) * scale).astype(np.float32)
+    TriangleMesh(bare_scene, moved, scene.faces)
+    moved_origins = ((origins - centre) * scale).astype(np.float32)
+    halves = [slice(0, len(vertices) // 2), slice(len(vertices) // 2, None)]
+    prebuilt = []
+    for half in halves:
+        above = [directions[row > 0.0] for row in cosines[half]]
+        starts = np.repeat(moved_origins[half], [len(rays) for rays in above], axis=0)
+        prebuilt.append((starts, np.concatenate(above)))
+
+    def bare(rays: tuple[np.ndarray, np.ndarray]) -> None:
+        bare_scene.run(*rays, query="OCCLUDED")
+
+    n_rays = sum(len(rays) for _, rays in prebuilt)
+    result: dict[str, Any] = {"rays": n_rays}
+    for threads in (1, 2):
+        # alternately, so that a disturbance meets both
+        times = [(_timed(bare, prebuilt, threads), _timed(ours, halves, threads)) for _ in range(4)]
+        best_bare, best_ours = np.min(times, axis=0)
+        result[str(threads)] = {"bare": float(best_bare), "ours": float(best_ours)}
+    return result
+
+
+def measure_product(*, quick: bool) -> dict[str, Any]:
+    """Time the stages of one tile apart, and the dense product that the groups replace."""
+    size = QUICK if quick else FULL
+    scene, cube, glossy, projection = _scene(quick), cube_directions(32), _glossy(), _projection()
+    vertices = _tile(scene, size.n_product_vertices)
+    normals, frames = scene.normals[vertices], scene.frames[vertices]
+    sampling = Sampling.of(cube.directions, padded_directions(cube.sub_directions(1)), projection)
+    plan = plan_projection(normals, cube.directions, glossy.n_terms)
+    chunks = list(plan.chunks(CHUNK_BYTES // (4 * glossy.n_terms)))
+    works, lefts, energies = [Workspace() for _ in chunks], {}, {}
+
+    def prepare(chunk: VertexGroup, work: Workspace) -> tuple[Any, Any, Any]:
+        picked = sampling.pick(chunk.directions)
+        local = local_directions(frames[chunk.vertices], picked, work)
+        share, _ = visible_share(
+            None, np.empty((0, 3), np.float32), normals.astype(np.float32), local[2], picked, work
+        )
+        return picked, local, share
+
+    def left(index: int) -> None:
+        picked, local, share = prepared[index]
+        lefts[index], energies[index] = weighted_transport(
+            glossy, local, share, picked, works[index]
+        )
+
+    outs = {}
+
+    def multiply(indices: Sequence[int]) -> None:
+        last, matrix = None, np.empty(0)
+        for index in indices:
+            chunk, terms = chunks[index], lefts[index]
+            if chunk.directions is not last:
+                matrix, last = sampling.matrix.take(chunk.directions, axis=0), chunk.directions
+            np.matmul(terms.reshape(-1, terms.shape[2]), matrix, out=outs[index])
+
+    def residual(index: int) -> None:
+        projection.residual_energy(energies[index], coefficients[index])
+
+    everything = range(len(chunks))
+    with threadpool_limits(limits=1, user_api="blas"):
+        prepared = [prepare(chunk, work) for chunk, work in zip(chunks, works, strict=True)]
+        _timed(left, everything, THREADS)  # touches the pages
+        prepared = [prepare(chunk, work) for chunk, work in zip(chunks, works, strict=True)]
+        left_seconds = _timed(left, everything, THREADS)
+        for index in everything:
+            n_rows = lefts[index].shape[0] * lefts[index].shape[1]
+            outs[index] = np.empty((n_rows, projection.n_coeffs), np.float32)
+        by_thread = [everything[start::THREADS] for start in range(THREADS)]
+        ours = best_time(lambda: _timed(multiply, by_thread, THREADS))
+        coefficients = {
+            index: out.reshape(glossy.n_terms, -1, projection.n_coeffs).transpose(1, 0, 2).copy()
+            for index, out in outs.items()
+        }
+        residual_seconds = best_time(lambda: _timed(residual, everything, THREADS))
+    n_rows = len(normals) * glossy.n_terms
+    for held in (lefts, outs, coefficients, works, prepared):
+        held.clear()
+    dense_left = np.full((n_rows, cube.n), np.float32(0.01))
+    dense_out = np.empty((n_rows, projection.n_coeffs), np.float32)
+    dense = best_time(lambda: np.matmul(dense_left, sampling.matrix, out=dense_out))
+    return {
+        "rows": n_rows,
+        "share": plan.dense_share,
+        "dense": dense,
+        "gflops": 2e-9 * n_rows * cube.n * projection.n_coeffs / dense,
+        "ours": ours,
+        "left": left_seconds,
+        "residual": residual_seconds,
+    }
+
+
+def measure_unit(*, quick: bool) -> dict[str, Any]:
+    """Time the classification product on a part of its rows."""
+    n_rows, depth, width = UNIT_SHAPE
+    part = n_rows // (QUICK if quick else FULL).unit_share
+    rng = np.random.default_rng(SEED)
+    left = rng.standard_normal((part, depth), dtype=np.float32)
+    right = rng.standard_normal((depth, width), dtype=np.float32)
+    out = np.empty((part, width), np.float32)
+    seconds = best_time(lambda: np.matmul(left, right, out=out), repeats=4)
+    return {"seconds": seconds * n_rows / part, "gflops": 2e-9 * part * depth * width / seconds}
+
+
+def measure_bake(*, quick: bool) -> dict[str, Any]:
+    """Bake tile after tile, set-up and rounding to 16 bits included."""
+    size = QUICK if quick else FULL
+    scene = _scene(quick)
+    glossy = _glossy()
+    start = time.perf_counter()
+    accelerator = Accelerator(scene.positions, scene.faces)
+    projection, cube = _projection(), cube_directions(32)
+    set_up = time.perf_counter() - start
+    sums, done = np.zeros(3), 0
+    starts = range(0, scene.n_vertices, size.tile_vertices)
+    for first in starts[: size.n_tiles]:
+        stop = min(first + size.tile_vertices, scene.n_vertices)
+        block = bake_block(
+            scene, accelerator, (first, stop),
+            factorisation=glossy, projection=projection, directions=cube, threads=THREADS,
+        )  # fmt: skip
+        rounded = quantise_transfer(block.coefficients)
+        areas = scene.areas[first:stop]
+        energies = (block.signal_energy, block.residual_energy, rounded.squared_error)
+        sums += [float(areas @ energy) for energy in energies]
+        done = stop
+    return {
+        "seconds": time.perf_counter() - start,
+        "set_up": set_up,
+        "vertices": done,
+        "tile": size.tile_vertices,
+        "error": sums[1] / sums[0],
+        "quantisation": sums[2] / sums[0],
+    }
+
+
+def _scaled(bake: dict[str, Any]) -> float:
+    """Seconds of the vertices alone, for the mesh of the limits."""
+    return float((bake["seconds"] - bake["set_up"]) * N_VERTICES / bake["vertices"])
+
+
+def _timed(work: Callable[[Any], object], items: Sequence[Any], threads: int) -> float:
+    start = time.perf_counter()
+    if threads == 1:
+        for item in items:
+            work(item)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, items))
+    return time.perf_counter() - start
+
+
+def _scene(quick: bool) -> Scene:
+    folder = os.environ.get("PRTBAKE_DATA")
+    if folder:
+        path = Path(folder) / "meshes" / "stanford-bunny.obj"
+        mesh: Mesh = load_mesh(path.read_bytes(), "obj")[0]
+    else:
+        mesh = teapot(8 if quick else 33)
+    return Scene.from_parts([mesh])
+
+
+def _glossy() -> Factorisation:
+    brdf = CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1]))
+    return factorise(brdf, n_terms=16)
+
+
+def _projection() -> SrbfProjection:
+    cube: CubeDirections = cube_directions(32)
+    return SrbfBasis(icosphere(3)).projection(cube.directions, cube.weights)
+
+
+def _tile(scene: Scene, n_verts: int) -> slice:
+    """Consecutive vertices from the middle: a tile."""
+    first = max(0, (scene.n_vertices - n_verts) // 2)
+    return slice(first, first + n_verts)
+
+
+def _spread(scene: Scene, n_verts: int) -> np.ndarray:
+    """Blocks of neighbours from all over the mesh, as tiles would meet them."""
+    blocks = np.array_split(np.arange(scene.n_vertices), 10)
+    return np.concatenate([block[: max(1, n_verts // 10)] for block in blocks])
