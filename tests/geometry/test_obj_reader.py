@@ -68,16 +68,20 @@ def test_colours_weights_and_unknown_lines_are_passed_over():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("v 0 0\n", "line 1: 'v 0 0' has fewer than 3 numbers"),
-        ("v 0 zero 0\n", "line 1: 'v 0 zero 0' holds something not a number"),
-        (TRIANGLE + "f 1 2 4\n", "line 4: vertex index 4 points nowhere; the file has 3"),
-        (TRIANGLE + "f 1 2 0\n", "line 4: index 0"),
-        (TRIANGLE + "f -4 -2 -1\n", "line 4: vertex index -4 points nowhere"),
-        (TRIANGLE + "f 1 2 x\n", "line 4: 'f 1 2 x' is not a face"),
-        (TRIANGLE + "f 1.0 2 3\n", "line 4: 'f 1.0 2 3' is not a face"),
-        (TRIANGLE + "vt 0 0\nf 1/1 2/2 3/1\n", "line 5: vt index 2 points nowhere"),
-        (TRIANGLE + "f 1/-1 2/-1 3/-1\n", "line 4: a relative vt index"),
-        (TRIANGLE + f"f 1 2 {10**30}\n", "line 4: vertex index 1000"),
+        ("v 0 0\n", "line 1: 'v 0 0' cannot be read as a position: three numbers"),
+        ("v 0 zero 0\n", "line 1: 'v 0 zero 0' cannot be read as a position"),
+        (TRIANGLE + "f 1 2 4\n", "line 4: index 4 of a vertex points nowhere; the file has 3"),
+        (TRIANGLE + "f 1 2 0\n", "line 4: index 0 or a relative one of a vertex points nowhere"),
+        (TRIANGLE + "f -4 -2 -1\n", "line 4: index 0 or a relative one of a vertex points nowhere"),
+        (TRIANGLE + "f 1 2 x\n", "line 4: 'f 1 2 x' cannot be read as a face"),
+        (TRIANGLE + "vt\nf 1 2 3\n", "line 4: 'vt' cannot be read as a texture coordinate"),
+        (TRIANGLE + "f 1.0 2 3\n", "line 4: 'f 1.0 2 3' cannot be read as a face"),
+        (
+            TRIANGLE + "vt 0 0\nf 1/1 2/2 3/1\n",
+            "line 5: index 2 of a texture coordinate points nowhere",
+        ),
+        (TRIANGLE + "f 1/-1 2/-1 3/-1\n", "line 4: index 0 or a relative one of a texture"),
+        (TRIANGLE + f"f 1 2 {10**30}\n", "line 4: 'f 1 2 1000"),
     ],
 )
 def test_refusals_name_the_line(text, message):

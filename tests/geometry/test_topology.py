@@ -52,7 +52,7 @@ def test_majority_decides_where_outward_is_not_asked():
 
 
 def test_each_piece_is_turned_for_itself():
-    points = np.concatenate([POINTS, POINTS + [10.0, 0.0, 0.0]])
+    points = np.concatenate([POINTS, POINTS + np.array([10.0, 0.0, 0.0])])
     faces = np.concatenate([FACES[:, ::-1], FACES + len(POINTS)])
     winding = consistent_winding(points, faces, find_edges(faces), outward=True)
     assert winding.n_turned_outward == 1

@@ -60,7 +60,7 @@ def teapot(tessellation: int) -> Mesh:
     The patches are evaluated in integers, so the points of two patches along their seam are equal
     to the last bit and can be welded by equality.  At the poles of knob and bottom a side of the
     patch is one point; the triangles that collapse there are left out.  Handle and spout have at
-    least two quads a side.
+    least two quads a side.  Normals are those of the patches, from their derivatives.
     """
     if not 1 <= tessellation <= MAX_TESSELLATION:
         raise ValueError(f"tessellation must lie in 1..{MAX_TESSELLATION}, not {tessellation}")
@@ -70,17 +70,19 @@ def teapot(tessellation: int) -> Mesh:
     )
     # half a tube that is one quad across would be flat
     across = max(tessellation, 2)
-    positions: list[F64] = []
-    faces: list[I64] = []
-    start = 0
+    parts = []
     # welding stops at these three: the handle touches the body in one point
     for patches, cells in ((revolved, tessellation), (handle, across), (spout, across)):
-        points, triangles = _weld([_evaluate(patch, cells) for patch in patches])
-        positions.append(points)
-        faces.append(triangles + start)
-        start += len(points)
-    vertices, triangles = np.concatenate(positions), np.concatenate(faces)
-    return Mesh(vertices, triangles.astype(np.int32), vertex_normals(vertices, triangles))
+        points, sums, triangles = _weld([_evaluate(patch, cells) for patch in patches])
+        parts.append(_with_normals(points, sums, triangles))
+    starts = np.cumsum([0] + [part.n_vertices for part in parts[:-1]])
+    return Mesh(
+        positions=np.concatenate([part.positions for part in parts]),
+        faces=np.concatenate(
+            [part.faces + start for part, start in zip(parts, starts, strict=True)]
+        ).astype(np.int32),
+        normals=np.concatenate([part.normals for part in parts]),
+    )
 
 
 def control_points() -> F64:
@@ -117,25 +119,54 @@ def _mirror(rows: tuple[tuple[float, ...], ...]) -> list[F64]:
     return [half[:, ::-1], half * [1.0, 1.0, -1.0]]
 
 
-def _evaluate(control: F64, tessellation: int) -> F64:
-    """Compute points of a patch on a regular grid, (t + 1, t + 1, 3): exact, then rounded once."""
+def _evaluate(control: F64, tessellation: int) -> tuple[F64, F64]:
+    """Compute points and unit normals of a patch on a regular grid, (t + 1, t + 1, 3) each.
+
+    The points are exact and rounded once.  The normal is 0 where the patch collapses.
+    """
     t = tessellation
     steps = np.arange(t + 1, dtype=np.int64)
-    bernstein = np.stack([comb(3, i) * steps**i * (t - steps) ** (3 - i) for i in range(4)], 1)
+    cubic, quadratic = (
+        np.stack([comb(n, i) * steps**i * (t - steps) ** (n - i) for i in range(n + 1)], 1)
+        for n in (3, 2)
+    )
     whole = np.rint(control * _DECIMALS).astype(np.int64)
-    exact = np.einsum("si,tj,ijx->stx", bernstein, bernstein, whole)
-    points: F64 = exact / float(_DECIMALS * t**6)
-    return points
+    exact = np.einsum("si,tj,ijx->stx", cubic, cubic, whole)
+    along = np.einsum("si,tj,ijx->stx", quadratic, cubic, np.diff(whole, axis=0))
+    across = np.einsum("si,tj,ijx->stx", cubic, quadratic, np.diff(whole, axis=1))
+    normals = np.cross(along.astype(np.float64), across.astype(np.float64))
+    lengths = np.linalg.norm(normals, axis=2, keepdims=True)
+    normals /= np.where(lengths > 0.0, lengths, 1.0)
+    return exact / float(_DECIMALS * t**6), normals
 
 
-def _weld(grids: list[F64]) -> tuple[F64, I64]:
-    """Join the grids at equal points; two triangles a cell, without those that collapse."""
-    n = len(grids[0])
-    vertex, first = group_rows(np.concatenate([grid.reshape(-1, 3) for grid in grids]))
-    points = np.concatenate([grid.reshape(-1, 3) for grid in grids])[first]
+def _weld(grids: list[tuple[F64, F64]]) -> tuple[F64, F64, I64]:
+    """Join the grids at equal points: points, sums of normals, and two triangles a cell.
+
+    Triangles that collapse are left out.
+    """
+    n = len(grids[0][0])
+    points = np.concatenate([grid.reshape(-1, 3) for grid, _ in grids])
+    normals = np.concatenate([normal.reshape(-1, 3) for _, normal in grids])
+    vertex, first = group_rows(points)
+    sums = np.zeros((len(first), 3))
+    np.add.at(sums, vertex, normals)
     index = vertex.reshape(len(grids), n, n)
     a, b = index[:, :-1, :-1].ravel(), index[:, 1:, :-1].ravel()
     c, d = index[:, 1:, 1:].ravel(), index[:, :-1, 1:].ravel()
     triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1).reshape(-1, 3)
     collapsed = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    return points, triangles[~collapsed]
+    return points[first], sums, triangles[~collapsed]
+
+
+def _with_normals(points: F64, sums: F64, triangles: I64) -> Mesh:
+    """Take the mean normal of the patches at each point.
+
+    At the poles, and where triangles are so coarse that they lie 60 degrees off the surface (the
+    rim, below tessellation 4), that of the triangles.
+    """
+    normals = vertex_normals(points, triangles)
+    lengths = np.linalg.norm(sums, axis=1)
+    close = np.einsum("ij,ij->i", normals, sums) > 0.5 * lengths
+    normals[close] = sums[close] / lengths[close, None]
+    return Mesh(points, triangles.astype(np.int32), normals)

@@ -1,0 +1,110 @@
+"""Offsets of ray origins."""
+
+import numpy as np
+import pytest
+
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon, self_hit_count
+
+SCALES = [1e-4, 1.0, 1e4]
+
+
+def scaled(mesh, scale, shift=(0.0, 0.0, 0.0)):
+    return Mesh(scale * mesh.positions + np.asarray(shift), mesh.faces, mesh.normals)
+
+
+def outward_rays(mesh, rng, per_vertex=20):
+    """Rays into the upper hemisphere of each vertex, down to 1 degree above the horizon."""
+    normals = np.repeat(mesh.normals, per_vertex, axis=0)
+    directions = rng.normal(size=normals.shape)
+    directions -= np.einsum("ij,ij->i", directions, normals)[:, None] * normals
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    height = np.tile(np.sin(np.radians(np.geomspace(1.0, 89.0, per_vertex))), mesh.n_vertices)
+    directions = height[:, None] * normals + np.sqrt(1 - height**2)[:, None] * directions
+    return np.repeat(mesh.positions, per_vertex, axis=0), normals, directions.astype(np.float32)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_epsilon_scales_with_the_scene(scale):
+    bounds = np.array([[-1.0, 0, -1], [1, 2, 1]])
+    assert ray_epsilon(scale * bounds) == pytest.approx(scale * ray_epsilon(bounds), rel=1e-12)
+    # small beside the scene, large beside its rounding
+    assert 1e-7 < ray_epsilon(bounds) / np.sqrt(12.0) < 1e-5
+
+
+def test_epsilon_grows_with_the_distance_from_the_origin():
+    near = np.array([[0.0] * 3, [1.0] * 3])
+    assert ray_epsilon(near + 1e5) > 1e4 * ray_epsilon(near)
+    step = np.spacing(np.float32(1e5))
+    assert ray_epsilon(near + 1e5) > step
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_convex_surface_never_shades_itself(rng, scale):
+    mesh = scaled(sphere_mesh(3), scale)
+    accelerator = Accelerator(mesh.positions, mesh.faces)
+    points, normals, directions = outward_rays(mesh, rng)
+    epsilon = ray_epsilon(mesh.bounds)
+    moved = offset_origins(points, normals, epsilon)
+    assert moved.dtype == np.float32
+    assert not accelerator.occluded(moved, directions).any()
+    # without the offset many would: that is what the offset is for
+    saved = self_hit_count(accelerator, points, normals, directions, epsilon)
+    bare = accelerator.occluded(points.astype(np.float32), directions)
+    assert saved == np.count_nonzero(bare)
+    assert saved > 0.1 * len(points)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_plane_never_shades_itself_at_grazing_angles(rng, scale):
+    plane = scaled(grid_mesh(16, 16), scale, shift=(0.3 * scale, 0.7 * scale, -0.2 * scale))
+    accelerator = Accelerator(plane.positions, plane.faces)
+    points, normals, directions = outward_rays(plane, rng)
+    moved = offset_origins(points, normals, ray_epsilon(plane.bounds))
+    assert not accelerator.occluded(moved, directions).any()
+
+
+def test_scene_far_from_the_origin_does_not_shade_itself(rng):
+    mesh = scaled(sphere_mesh(2), 1.0, shift=(500.0, -300.0, 100.0))
+    accelerator = Accelerator(mesh.positions, mesh.faces)
+    points, normals, directions = outward_rays(mesh, rng)
+    moved = offset_origins(points, normals, ray_epsilon(mesh.bounds))
+    assert accelerator.occluded(moved, directions).mean() < 1e-3
+    # an offset that looks at the diagonal alone is lost in the rounding of the coordinates
+    diagonal_only = ray_epsilon(mesh.bounds - mesh.bounds.mean(axis=0))
+    lost = offset_origins(points, normals, diagonal_only)
+    assert accelerator.occluded(lost, directions).mean() > 0.05
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_coincident_surfaces_facing_apart_see_past_each_other(scale):
+    """The ceiling of the Cornell box and its light: one plane, facing up and facing down."""
+    up = scaled(grid_mesh(2, 2), scale)
+    positions = np.concatenate([up.positions, up.positions])
+    faces = np.concatenate([up.faces, up.faces[:, ::-1] + up.n_vertices]).astype(np.int32)
+    centres = positions[faces].mean(axis=1)
+    normals = np.repeat([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]], up.n_faces, axis=0)
+    accelerator = Accelerator(positions, faces)
+    bounds = np.stack([positions.min(axis=0), positions.max(axis=0)])
+    moved = offset_origins(centres, normals, ray_epsilon(bounds))
+    assert not accelerator.occluded(moved, normals.astype(np.float32)).any()
+    # each blocks the other's back
+    assert accelerator.occluded(moved, -normals.astype(np.float32)).all()
+
+
+def test_real_occluders_stay():
+    """The offset must not carry rays through what shades them: a lid 1e-4 diagonals above."""
+    plane = grid_mesh(4, 4)
+    lid = plane.positions + np.array([0.0, 1e-4, 0.0])
+    positions = np.concatenate([plane.positions, lid])
+    faces = np.concatenate([plane.faces, plane.faces + plane.n_vertices]).astype(np.int32)
+    epsilon = ray_epsilon(np.stack([positions.min(axis=0), positions.max(axis=0)]))
+    inner = np.abs(plane.positions).max(axis=1) < 0.4
+    moved = offset_origins(plane.positions[inner], plane.normals[inner], epsilon)
+    up = plane.normals[inner].astype(np.float32)
+    accelerator = Accelerator(positions, faces, robust=True)
+    assert accelerator.occluded(moved, up).all()
+    through = offset_origins(plane.positions[inner], plane.normals[inner], 2e-4)
+    assert not accelerator.occluded(through, up).any()
