@@ -15,7 +15,7 @@ from prtbake.client import OnBytes
 from prtbake.config import discover
 from prtbake.download import PartialFile
 from prtbake.errors import JobNotSucceeded, WaitTimeout
-from prtbake.files import CHUNK_BYTES, chunks_async, file_digest
+from prtbake.files import chunks_async, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
@@ -319,7 +319,7 @@ class AsyncClient:
                 check(response)
             partial.begin(response)
             try:
-                async for chunk in response.aiter_bytes(CHUNK_BYTES):
+                async for chunk in response.aiter_raw():
                     count = partial.write(chunk)
                     if on_bytes is not None:
                         on_bytes(count)

@@ -13,7 +13,7 @@ from prtbake import calls
 from prtbake.config import discover
 from prtbake.download import PartialFile
 from prtbake.errors import JobNotSucceeded, WaitTimeout
-from prtbake.files import CHUNK_BYTES, chunks, file_digest
+from prtbake.files import chunks, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
@@ -363,7 +363,8 @@ class Client:
                 check(response)
             partial.begin(response)
             try:
-                for chunk in response.iter_bytes(CHUNK_BYTES):
+                # as they come: a chunker would lose what it holds when the connection breaks
+                for chunk in response.iter_raw():
                     count = partial.write(chunk)
                     if on_bytes is not None:
                         on_bytes(count)

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Header, Path, Response
 from fastapi.responses import StreamingResponse
 
 from prtbake_service.artefacts.ranges import RangeNotSatisfiable, parse_range
-from prtbake_service.artefacts.service import find, read_bytes
+from prtbake_service.artefacts.service import FileResponse, find
 from prtbake_service.auth import Caller
 from prtbake_service.backend import BackendDep
 from prtbake_service.errors_http import CODES, problem_response, title_of
@@ -64,9 +64,11 @@ def download(
         )
         return problem_response(problem, {"Content-Range": f"bytes */{artefact.size}"})
     start, length = (0, artefact.size) if part is None else (part.start, part.length)
-    return StreamingResponse(
-        read_bytes(backend.blobs.open(artefact.sha256), start, length),
-        status_code=200 if part is None else 206,
+    return FileResponse(
+        backend.blobs.open(artefact.sha256),
+        start,
+        length,
+        status=200 if part is None else 206,
         headers=found.headers(part),
         media_type=artefact.media_type,
     )

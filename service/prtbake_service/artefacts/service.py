@@ -5,6 +5,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
+from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
 from prtbake_service.artefacts.ranges import ByteRange
 from prtbake_service.backend import Backend
 from prtbake_storage.contract.jobs import Artefact
@@ -59,10 +62,34 @@ def find(backend: Backend, project: str, job_id: str, name: str) -> Representati
     raise NotFound(f"job {job_id} has no artefact {name}")
 
 
-def read_bytes(file: BinaryIO, start: int, length: int) -> Iterator[bytes]:
-    """Read a part of an open file piece by piece, and close it."""
-    with file:
-        file.seek(start)
-        while length > 0 and (chunk := file.read(min(CHUNK_BYTES, length))):
-            length -= len(chunk)
-            yield chunk
+class FileResponse(StreamingResponse):
+    """Stream a part of an open file, and close it however the sending ends."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        start: int,
+        length: int,
+        *,
+        status: int,
+        headers: dict[str, str],
+        media_type: str,
+    ) -> None:
+        super().__init__(
+            _pieces(file, start, length), status, headers=headers, media_type=media_type
+        )
+        self._file = file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send; a caller that hangs up leaves the iterator behind, not the file."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._file.close()
+
+
+def _pieces(file: BinaryIO, start: int, length: int) -> Iterator[bytes]:
+    file.seek(start)
+    while length > 0 and (chunk := file.read(min(CHUNK_BYTES, length))):
+        length -= len(chunk)
+        yield chunk
