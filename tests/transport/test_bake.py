@@ -122,12 +122,12 @@ def test_chunks_of_one_vertex_change_nothing(
 ):
     monkeypatch.setattr(bake_module, "CHUNK_BYTES", 1)
     single = bake_block(
-        scene, accelerator, (0, scene.n_vertices),
+        scene, accelerator, (70, 110),
         factorisation=glossy, projection=projection, directions=CUBE,
     )  # fmt: skip
     # other groups sum in another order: float32 rounding only, measured 1.1e-6
     atol = 5e-6 * np.abs(baked.coefficients).max()
-    np.testing.assert_allclose(single.coefficients, baked.coefficients, rtol=0, atol=atol)
+    np.testing.assert_allclose(single.coefficients, baked.coefficients[70:110], rtol=0, atol=atol)
 
 
 def test_tiles_agree_with_the_whole(scene, accelerator, glossy, projection, baked):

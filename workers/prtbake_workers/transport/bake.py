@@ -152,7 +152,7 @@ def bake_block(
     Notes
     -----
     Memory: the coefficients (4 bytes x terms x coeffs a vertex), the projection matrices and
-    about 60 MB a thread.
+    about 80 MB a thread.
     """
     start, stop = vertex_range
     if not 0 <= start <= stop <= scene.n_vertices:
