@@ -4,6 +4,7 @@ Data goes to standard output, everything else to standard error, so that ``-o js
 """
 
 import json
+import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any
@@ -16,6 +17,7 @@ from rich.table import Table
 
 from prtbake_storage.contract.jobs import Estimate, Job
 
+PIPE_WIDTH = 200
 _STYLES = {"succeeded": "green", "failed": "red", "expired": "red", "running": "cyan"}
 
 
@@ -31,7 +33,9 @@ OutputOption = Annotated[Output, typer.Option("--output", "-o", help="How to pri
 
 def console() -> Console:
     """Return the console on standard output, as it is now."""
-    return Console(highlight=False, soft_wrap=True)
+    # a pipe has no width, and rich's guess of 80 would cut ids short
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    return Console(highlight=False, soft_wrap=True, width=width)
 
 
 def messages() -> Console:
@@ -70,7 +74,8 @@ def print_jobs(jobs: Sequence[Job], output: Output) -> None:
         print_json(jobs)
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("job", "kind", "state", "progress", "created", "label"):
+    table.add_column("job", no_wrap=True)
+    for heading in ("kind", "state", "progress", "created", "label"):
         table.add_column(heading)
     for job in jobs:
         table.add_row(

@@ -1,7 +1,7 @@
 """The result of an asset job for people: budget, errors, time, bytes, effects."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 from rich.markup import escape
 from rich.table import Table
@@ -49,14 +49,17 @@ def _budget(result: Result) -> Table | None:
     table = Table(title="error budget", title_justify="left")
     table.add_column("line")
     table.add_column("error", justify="right")
-    lines = budget.get("lines")
-    for line in lines if isinstance(lines, Sequence) else ():
-        if isinstance(line, Mapping):
-            table.add_row(escape(str(line.get("name", "?"))), _percent(line.get("error")))
+    listed = budget.get("lines")
+    lines = [line for line in listed if isinstance(line, Mapping)] if _is_list(listed) else []
+    for line in lines:
+        table.add_row(escape(str(line.get("name", "?"))), _percent(line.get("error")))
     table.add_section()
-    for name in ("sum", "total", "measured_total"):
+    table.add_row(
+        "sum of the lines", _percent(sum(_number(line.get("error")) or 0 for line in lines))
+    )
+    for name in ("total", "measured_total"):
         if _number(budget.get(name)) is not None:
-            table.add_row(name.replace("_", " "), _percent(budget[name]), style="bold")
+            table.add_row("measured total", _percent(budget[name]), style="bold")
     return table
 
 
@@ -81,7 +84,8 @@ def _costs(result: Result) -> Table | None:
     table.add_column("stage or file")
     table.add_column("time", justify="right")
     table.add_column("size", justify="right")
-    for name in dict.fromkeys([*seconds, *sizes]):
+    # what is called a total closes the table
+    for name in sorted(dict.fromkeys([*seconds, *sizes]), key=lambda name: name == "total"):
         time = human_seconds(seconds[name]) if name in seconds else ""
         size = human_bytes(sizes[name]) if name in sizes else ""
         table.add_row(escape(name), time, size)
@@ -90,7 +94,7 @@ def _costs(result: Result) -> Table | None:
 
 def _effects(result: Result) -> Table | None:
     effects = result.get("effects")
-    if not isinstance(effects, Sequence) or isinstance(effects, str):
+    if not _is_list(effects):
         return None
     table = Table(title="effects", title_justify="left")
     for heading in ("effect", "taken", "why"):
@@ -101,6 +105,10 @@ def _effects(result: Result) -> Table | None:
             taken = "yes" if item.get("taken") else "no"
             table.add_row(name, taken, escape(str(item.get("reason", ""))))
     return table
+
+
+def _is_list(value: Any) -> TypeGuard[Sequence[Any]]:
+    return isinstance(value, Sequence) and not isinstance(value, str)
 
 
 def _numbers(value: Any, prefix: str = "") -> dict[str, float]:

@@ -1,0 +1,288 @@
+"""The command line against a real service: what it prints, what it exits with."""
+
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from prtbake.cli.exits import LEGEND, Exit
+from prtbake.cli.main import app
+from prtbake_service.testing import LiveService
+from prtbake_storage.contract.jobs import JobError, JobState, Progress
+from prtbake_storage.records import Stop
+
+Run = Callable[..., Result]
+RESULT = {
+    "budget": {"lines": [{"name": "basis", "error": 0.02}], "total": 0.015},
+    "errors": {"compress": {"object": 0.004}},
+    "bytes": {"asset.h5": 2048},
+    "seconds": {"bake": 61.0},
+    "effects": [{"effect": "self_shadowing", "taken": True, "reason": "not [convex]"}],
+}
+
+
+@pytest.fixture
+def run(service: LiveService) -> Run:
+    def run_with(*arguments: object) -> Result:
+        target = ["--url", service.url, "--key", service.key]
+        return CliRunner().invoke(app, [*target, *map(str, arguments)])
+
+    return run_with
+
+
+@pytest.fixture
+def submitted(run: Run, environment: str) -> str:
+    result = run("submit", "fit-light", "--environment", environment, "-o", "json")
+    assert result.exit_code == 0, result.output
+    return str(json.loads(result.stdout)["id"])
+
+
+def test_submit_takes_settings(run: Run, service: LiveService, environment: str) -> None:
+    options = ["--set", "n_lobes=20", "--set", "max_iterations=3", "--label", "cli", "--seed", 5]
+    result = run("submit", "fit-light", "--environment", environment, *options, "-o", "json")
+    job = json.loads(result.stdout)
+    assert job["request"]["settings"]["n_lobes"] == 20
+    assert (job["label"], job["request"]["seed"]) == ("cli", 5)
+
+
+def test_submit_asset_from_words(
+    run: Run, service: LiveService, environment: str, tmp_path: Path
+) -> None:
+    texture = tmp_path / "albedo.png"
+    texture.write_bytes(b"png")
+    canonical = service.backend.blobs.put_bytes(b"mesh")
+    result = {"canonical": canonical, "understood": {}}
+    service.answer_next("register", lambda job: service.succeed(job, result))
+    made = run(
+        *("submit", "asset", "--mesh", "builtin:teapot:3", "--environment", environment),
+        *("--brdf", "cook_torrance,m=0.5,kd=0.9:0.2:0.1", "--quality", "draft"),
+        *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
+        *("--albedo-texture", texture, "--set", "bake.n_terms=16"),
+        *("--set", "compress.ranks=8,48,24", "-o", "json"),
+    )
+    assert made.exit_code == 0, made.output
+    request = json.loads(made.stdout)["request"]
+    assert request["brdf"]["kd"] == [0.9, 0.2, 0.1]
+    assert request["settings"]["bake"] == {"n_terms": 16}
+    assert request["settings"]["compress"] == {"ranks": [8, 48, 24]}
+    assert request["receiver"]["resolution"] == 8
+    assert request["effects"]["self_shadowing"] == "off"
+    assert request["albedo_texture"].startswith("sha256:")
+
+
+def test_submit_a_file(run: Run, environment: str, tmp_path: Path) -> None:
+    path = tmp_path / "request.json"
+    path.write_text(json.dumps({"kind": "fit_light", "environment": environment}))
+    assert run("submit", "file", path, "--id", "from-a-file").exit_code == 0
+    assert run("submit", "file", path, "--id", "from-a-file").exit_code == 0
+    path.write_text("[1]")
+    assert run("submit", "file", path).exit_code == Exit.usage
+
+
+def test_submit_and_wait(run: Run, service: LiveService, environment: str, tmp_path: Path) -> None:
+    def work() -> None:
+        while not (queued := service.backend.jobs.page(label="waited").items):
+            pass
+        job = queued[0].id
+        service.begin(job)
+        service.runs.progress(job, Progress(stage="fit", fraction=0.5))
+        service.succeed(job, RESULT, light_h5=b"light")
+
+    threading.Thread(target=work, daemon=True).start()
+    result = run(
+        *("submit", "fit-light", "--environment", environment, "--label", "waited"),
+        *("--to", tmp_path / "out"),
+    )
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "light.h5").read_bytes() == b"light"
+    assert "succeeded" in result.stdout
+    # progress is for people and stays out of what is piped
+    assert "100% succeeded" in result.stderr
+    assert "100%" not in result.stdout
+    for text in ("1.500%", "2.000%", "0.400%", "1 min 1 s", "2.0 KiB", "not [convex]"):
+        assert text in result.stdout
+
+
+@pytest.mark.parametrize("command", ["wait", "watch"])
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [
+        (JobState.succeeded, 0),
+        (JobState.failed, Exit.failed),
+        (JobState.canceled, Exit.canceled),
+        (JobState.expired, Exit.expired),
+    ],
+)
+def test_the_exit_code_tells_the_state(
+    run: Run, service: LiveService, submitted: str, command: str, state: JobState, code: int
+) -> None:
+    if state is JobState.succeeded:
+        service.succeed(submitted, {})
+    elif state is JobState.canceled:
+        assert run("cancel", submitted).exit_code == 0
+    else:
+        service.begin(submitted)
+        error = JobError(kind="input", code="bad", detail="too [few] lobes", pointer="/settings")
+        service.runs.close(submitted, Stop(state, error))
+    result = run(command, submitted)
+    assert result.exit_code == code
+    assert state in result.stdout
+    if state is JobState.failed:
+        assert "too [few] lobes (at /settings)" in result.stdout
+    as_json = run(command, submitted, "-o", "json")
+    assert json.loads(as_json.stdout)["state"] == state
+    assert as_json.exit_code == code
+
+
+def test_waiting_has_an_end(run: Run, submitted: str) -> None:
+    assert run("wait", submitted, "--timeout", 0.1).exit_code == Exit.timeout
+
+
+def test_ls(run: Run, submitted: str) -> None:
+    assert submitted in run("ls").stdout
+    listed = json.loads(run("ls", "--state", "queued", "-n", 2, "-o", "json").stdout)
+    assert listed[0]["id"] == submitted
+    assert len(listed) == 2
+    assert json.loads(run("ls", "--label", "nobody's", "-o", "json").stdout) == []
+
+
+def test_logs(run: Run, service: LiveService, submitted: str) -> None:
+    first = run("logs", submitted)
+    assert first.exit_code == 0
+    assert "queued" in first.stdout
+    service.begin(submitted)
+    service.backend.events.log(submitted, "said [something]")
+    service.succeed(submitted, {})
+    text = run("logs", submitted, "--follow").stdout
+    assert "said [something]" in text
+    lines = run("logs", submitted, "-o", "json").stdout.splitlines()
+    assert [json.loads(line)["type"] for line in lines] == ["state", "state", "log", "state"]
+
+
+def test_get(run: Run, service: LiveService, submitted: str, tmp_path: Path) -> None:
+    service.succeed(submitted, {}, a_bin=b"a" * 10, b_bin=b"b")
+    one = run("get", submitted, "b.bin", "--to", tmp_path, "-o", "json")
+    assert json.loads(one.stdout)["files"] == {"b.bin": str(tmp_path / "b.bin")}
+    assert not (tmp_path / "a.bin").exists()
+    assert run("get", submitted, "--to", tmp_path).exit_code == 0
+    assert (tmp_path / "a.bin").read_bytes() == b"a" * 10
+    missing = run("get", submitted, "c.bin", "--to", tmp_path)
+    assert missing.exit_code == Exit.error
+    assert "a.bin, b.bin" in missing.stderr
+
+
+def test_get_of_damaged_bytes(
+    run: Run, service: LiveService, submitted: str, tmp_path: Path
+) -> None:
+    service.succeed(submitted, {}, a_bin=b"right")
+    (tmp_path / "a.bin.part").write_bytes(b"wrong")
+    assert run("get", submitted, "--to", tmp_path).exit_code == Exit.corrupt
+    assert run("get", submitted, "--to", tmp_path).exit_code == 0
+
+
+def test_retry_show_rm(run: Run, submitted: str) -> None:
+    run("cancel", submitted)
+    again = json.loads(run("retry", submitted, "-o", "json").stdout)
+    assert again["retry_of"] == submitted
+    assert run("show", again["id"]).exit_code == 0
+    assert run("rm", submitted).exit_code == 0
+    assert run("show", submitted).exit_code == Exit.refused
+
+
+def test_upload_and_register(run: Run, service: LiveService, tmp_path: Path) -> None:
+    path = tmp_path / "ball.obj"
+    path.write_text("v 0 0 0\n")
+    uploaded = json.loads(run("upload", path, "-o", "json").stdout)
+    assert uploaded[0]["size"] == 8
+    canonical = service.backend.blobs.put_bytes(b"mesh")
+    result = {"canonical": canonical, "understood": {"vertices": 1, "repairs": ["[none]"]}}
+    service.answer_next("register", lambda job: service.succeed(job, result))
+    registered = run("register", "mesh", path)
+    assert registered.exit_code == 0, registered.output
+    assert "vertices: 1" in registered.stdout
+    assert "[none]" in registered.stdout
+
+
+def test_estimate(run: Run, service: LiveService, environment: str) -> None:
+    estimate = {
+        "plan": {},
+        "seconds": {"fit": 75.0},
+        "total_seconds": 75.0,
+        "artefact_bytes": {"light.h5": 4096},
+        "peak_memory_bytes": 1 << 30,
+        "errors": {"fit": 0.05},
+        "warnings": ["a black [sky]"],
+    }
+    service.answer_next("estimate", lambda job: service.succeed(job, estimate))
+    text = run("estimate", "fit-light", "--environment", environment).stdout
+    for part in ("1 min 15 s", "4.0 KiB", "1.0 GiB", "5.000%", "a black [sky]"):
+        assert part in text
+    service.answer_next("estimate", lambda job: service.succeed(job, estimate))
+    result = run("estimate", "fit-light", "--environment", environment, "-o", "json")
+    assert json.loads(result.stdout) == estimate
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["wait", "nothing"], Exit.refused, "no job nothing"),
+        (["submit", "compress", "--transfer", "bad"], Exit.refused, "/transfer"),
+        (["submit", "bake", "--mesh", "no.obj", "--brdf", "lambert"], Exit.usage, "no.obj"),
+        (["submit", "bake", "--mesh", "builtin:cow", "--brdf", "lambert"], Exit.usage, "/name"),
+        (["submit", "bake", "--mesh", "x", "--brdf", "lambert,albedo=2"], Exit.usage, "albedo"),
+        (["submit", "bake", "--mesh", "x", "--brdf", "{"], Exit.usage, "not JSON"),
+        (["submit", "fit-light"], Exit.usage, "--environment"),
+        (["ls", "--state", "asleep"], Exit.refused, "state"),
+    ],
+)
+def test_refusals(run: Run, arguments: list[str], code: int, said: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == code
+    assert said in result.stderr
+    assert "Traceback" not in result.output
+
+
+def test_no_service() -> None:
+    result = CliRunner().invoke(app, ["--url", "http://127.0.0.1:9", "ls"])
+    assert result.exit_code == Exit.unreachable
+
+
+def test_a_wrong_key(service: LiveService) -> None:
+    result = CliRunner().invoke(app, ["--url", service.url, "--key", "wrong", "ls"])
+    assert result.exit_code == Exit.refused
+    assert "API key" in result.stderr
+
+
+def test_every_exit_code_is_documented() -> None:
+    for code in Exit:
+        if code is not Exit.interrupted:
+            assert f"{code.value} " in LEGEND
+
+
+def test_all_commands_have_help() -> None:
+    text = CliRunner().invoke(app, ["--help"]).output
+    for name in [
+        "demo",
+        "serve",
+        "submit",
+        "wait",
+        "watch",
+        "logs",
+        "get",
+        "cancel",
+        "ls",
+        "estimate",
+    ]:
+        assert name in text
+        assert CliRunner().invoke(app, [name, "--help"]).exit_code == 0
+
+
+def test_the_result_may_hold_anything(run: Run, service: LiveService, submitted: str) -> None:
+    odd: dict[str, Any] = {"budget": [], "errors": 3, "effects": "none", "seconds": None, "x": {}}
+    service.succeed(submitted, odd)
+    assert run("show", submitted).exit_code == 0
