@@ -2,25 +2,44 @@
 
 ``PRTBAKE_DATA`` names the folder with the ``meshes``, ``environments`` and ``brdfs`` of the
 real-data suite.  Where it is unset, the tests marked ``real_data`` are deselected (never skipped).
+Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
+server gives them one.
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from prtbake_storage.testing.postgres import available, fresh_database, postgres_server
+
 DATA_VARIABLE = "PRTBAKE_DATA"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect what reads the real data when nothing says where it lies."""
-    if os.environ.get(DATA_VARIABLE):
-        return
-    without_data = [item for item in items if item.get_closest_marker("real_data")]
-    if without_data:
-        config.hook.pytest_deselected(items=without_data)
-        items[:] = [item for item in items if not item.get_closest_marker("real_data")]
+    """Deselect what this machine lacks the data or the server for, and say so."""
+    lacking = []
+    if not os.environ.get(DATA_VARIABLE):
+        lacking.append("real_data")
+    if not available():
+        lacking.append("postgres")
+    out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
+    if out:
+        config.hook.pytest_deselected(items=out)
+        gone = set(out)
+        items[:] = [item for item in items if item not in gone]
+
+
+def pytest_report_header() -> list[str]:
+    """Tell in the first lines what will be deselected."""
+    header = []
+    if not os.environ.get(DATA_VARIABLE):
+        header.append(f"real data: none ({DATA_VARIABLE} is unset): its tests are deselected")
+    if not available():
+        header.append("postgresql: not installed: its tests are deselected")
+    return header
 
 
 @pytest.fixture(scope="session")
@@ -39,3 +58,20 @@ def data_dir() -> Path:
 def rng() -> np.random.Generator:
     """A generator with the same start for every test."""
     return np.random.default_rng(20061101)
+
+
+@pytest.fixture(scope="session")
+def postgres_url() -> Iterator[str]:
+    """A PostgreSQL server, started once a session; asking for it needs the marker ``postgres``."""
+    with postgres_server() as url:
+        yield url
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """An empty database, once on SQLite and once on PostgreSQL."""
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path / 'prtbake.sqlite'}"
+        return
+    with fresh_database(request.getfixturevalue("postgres_url")) as url:
+        yield url

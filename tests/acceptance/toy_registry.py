@@ -105,7 +105,7 @@ class ToyRegistry:
     ) -> Finished:
         """Name the joined file."""
         if kind != "tiles":
-            return Finished({stage: values for stage, values in results.items()})
+            return Finished(dict(results.items()))
         digest = results["join"][0]["digest"]
         seconds = [cost.seconds for cost in results.measured("tiles")]
         return Finished(

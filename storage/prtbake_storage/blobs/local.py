@@ -142,8 +142,9 @@ class LocalBlobStore(BlobStore):
 
     def get_result(self, key: str) -> dict[str, Any] | None:
         """Recall a result, or None; an unreadable one counts as none."""
+        path = self._result(key)
         try:
-            value = json.loads(self._result(key).read_text(encoding="utf-8"))
+            value = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):
             return None
         return value if isinstance(value, dict) else None

@@ -1,0 +1,229 @@
+"""Database, migrations, clock, and the smaller tables."""
+
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from prtbake_storage.contract.jobs import JobError, JobState, Progress
+from prtbake_storage.errors import NotFound, SettingsError
+from prtbake_storage.records import (
+    Database,
+    Jobs,
+    Keys,
+    NewArtefact,
+    NewJob,
+    Resources,
+    Runs,
+    Stop,
+    Uploads,
+    Workers,
+    create_database,
+    referenced_blobs,
+)
+from prtbake_storage.records.clock import UtcDateTime
+from prtbake_storage.records.database import normalise_url
+from prtbake_storage.records.models import Base, JobRow
+from prtbake_storage.testing.blob_contract import digest_of
+
+
+def test_the_migrations_make_the_tables_of_the_models(database: Database) -> None:
+    with database.engine.connect() as connection:
+        context = MigrationContext.configure(
+            connection, opts={"version_table": "prtbake_migrations"}
+        )
+        assert compare_metadata(context, Base.metadata) == []
+        # the negative twin: a table that the migrations do not make is found
+        changed = sa.MetaData()
+        for table in Base.metadata.tables.values():
+            table.to_metadata(changed)
+        sa.Table("forgotten", changed, sa.Column("id", sa.Integer, primary_key=True))
+        assert compare_metadata(context, changed) != []
+
+
+def test_several_processes_migrate_at_once(database_url: str) -> None:
+    code = (
+        "import sys; from prtbake_storage.records import create_database;"
+        "create_database(sys.argv[1]).dispose()"
+    )
+    processes = [subprocess.Popen([sys.executable, "-c", code, database_url]) for _ in range(2)]
+    assert [process.wait(timeout=60.0) for process in processes] == [0, 0]
+    create_database(database_url).dispose()
+
+
+def test_sqlite_waits_for_other_writers(tmp_path: Path) -> None:
+    database = create_database(f"sqlite:///{tmp_path / 'x.sqlite'}")
+    with database.read() as session:
+        assert session.scalar(sa.text("PRAGMA journal_mode")) == "wal"
+        assert int(session.scalar(sa.text("PRAGMA busy_timeout")) or 0) >= 10_000
+        assert session.scalar(sa.text("PRAGMA foreign_keys")) == 1
+    database.dispose()
+
+
+@pytest.mark.parametrize("url", ["sqlite://", "sqlite:///:memory:", "mysql://x/y", "nonsense"])
+def test_a_database_that_cannot_be_shared_is_refused(url: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        normalise_url(url)
+    assert caught.value.pointer == "/database_url"
+
+
+def test_moments_keep_their_zone(database: Database) -> None:
+    Jobs(database).create(NewJob(id="a", kind="bake", request={}))
+    moment = datetime(2026, 3, 4, 5, 6, 7, 891011, timezone(timedelta(hours=-3)))
+    with database.write() as session:
+        session.get_one(JobRow, "a").created = moment
+    created = Jobs(database).get("a").created
+    assert created == moment
+    assert created.utcoffset() == timedelta(0)
+    naive = sa.select(sa.literal(moment.replace(tzinfo=None), UtcDateTime))
+    with pytest.raises(sa.exc.StatementError, match="time zone"), database.read() as session:
+        session.execute(naive)
+
+
+def test_a_failed_transaction_leaves_nothing(database: Database) -> None:
+    Jobs(database).create(NewJob(id="a", kind="bake", request={}))
+
+    def change_and_fail() -> None:
+        with database.write() as session:
+            session.get_one(JobRow, "a").label = "half done"
+            session.flush()
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        change_and_fail()
+    assert Jobs(database).get("a").label is None
+
+
+def test_the_database_refuses_an_unknown_state(database: Database) -> None:
+    Jobs(database).create(NewJob(id="a", kind="bake", request={}))
+    with pytest.raises(sa.exc.IntegrityError), database.write() as session:
+        session.get_one(JobRow, "a").state = "lost"
+
+
+def test_uploads_belong_to_projects(database: Database) -> None:
+    uploads = Uploads(database)
+    one, two = digest_of(b"1"), digest_of(b"2")
+    assert uploads.add(one, 10, project="mine")
+    assert not uploads.add(one, 10, project="mine")
+    assert uploads.add(one, 10, project="theirs")
+    assert uploads.get(one, project="mine").size == 10
+    assert uploads.missing([two, one], project="mine") == [two]
+    assert uploads.missing([two, one], project="nobody") == [two, one]
+    assert uploads.bytes_used(project="mine") == 10
+    assert uploads.bytes_used(project="nobody") == 0
+    with pytest.raises(NotFound):
+        uploads.get(two, project="mine")
+
+
+RESOURCE = "mesh-0123456789abcdef"
+
+
+def register(database: Database) -> None:
+    Resources(database).create(RESOURCE, "mesh", {"blob": digest_of(b"m")}, label="bunny")
+    context = {"resource_id": RESOURCE}
+    Jobs(database).create(
+        NewJob(id="r", kind="register", request={}, context=context, internal=True, quick=True)
+    )
+    Runs(database).start("r")
+
+
+def test_a_registration_that_succeeds_makes_its_resource_ready(database: Database) -> None:
+    register(database)
+    resources, canonical = Resources(database), digest_of(b"canonical")
+    assert resources.get(RESOURCE).state == "parsing"
+    result = {"canonical": canonical, "understood": {"n_vertices": 3}}
+    assert Runs(database).succeed("r", result=result, artefacts=[], progress=Progress())
+    resource = resources.get(RESOURCE)
+    assert (resource.state, resource.canonical) == ("ready", canonical)
+    assert resource.understood == {"n_vertices": 3}
+
+
+def test_a_registration_that_fails_says_why_in_its_resource(database: Database) -> None:
+    register(database)
+    error = JobError(kind="input", code="invalid-mesh", detail="vertex 7 is NaN", pointer="/blob")
+    assert Runs(database).close("r", Stop(JobState.failed, error))
+    resource = Resources(database).get(RESOURCE)
+    assert (resource.state, resource.problem) == ("refused", error.model_dump())
+    Resources(database).parse_again(RESOURCE)
+    assert Resources(database).get(RESOURCE).problem is None
+
+
+def test_a_registration_cut_short_is_not_parsing_for_ever(database: Database) -> None:
+    register(database)
+    assert Runs(database).close("r", Stop(JobState.expired))
+    resource = Resources(database).get(RESOURCE)
+    assert resource.state == "refused"
+    assert resource.problem is not None
+    assert resource.problem["code"] == "expired"
+
+
+def test_a_resource_is_created_once(database: Database) -> None:
+    resources = Resources(database)
+    made, is_new = resources.create(RESOURCE, "mesh", {"blob": digest_of(b"m")})
+    again, is_newer = resources.create(RESOURCE, "mesh", {"blob": digest_of(b"m")})
+    assert (is_new, is_newer) == (True, False)
+    assert made == again
+    assert [item.id for item in resources.list(kind="mesh")] == [RESOURCE]
+    assert resources.list(kind="brdf") == []
+    with pytest.raises(NotFound):
+        resources.get(RESOURCE, project="other")
+
+
+def test_keys_open_their_project_until_revoked(database: Database) -> None:
+    keys = Keys(database)
+    key, secret = keys.create(project="p", label="laptop")
+    assert keys.verify(secret) == key
+    assert keys.verify(secret + "x") is None
+    assert keys.create(project="p", secret=secret) == (key, secret)
+    with database.read() as session:
+        stored = session.execute(sa.text("SELECT * FROM api_keys")).one()
+    assert secret not in [str(value) for value in stored]
+    assert keys.revoke(key.id)
+    assert not keys.revoke(key.id)
+    assert keys.verify(secret) is None
+
+
+def test_heartbeats_age_by_the_databases_clock(database: Database) -> None:
+    workers = Workers(database)
+    for name in ("a", "b"):
+        workers.beat(name, host="h", pid=1, tile_slots=2)
+    workers.mark_gone("b")
+    workers.beat("a", host="h", pid=1, tile_slots=2)
+    first, second = workers.all()
+    assert (first.executor_id, first.state, first.tile_slots) == ("a", "up", 2)
+    assert (second.executor_id, second.state) == ("b", "gone")
+    assert 0.0 <= first.age_s < 30.0
+    with database.write() as session:
+        session.execute(sa.text("UPDATE workers SET last_seen_s = last_seen_s - 100"))
+    assert 100.0 <= workers.all()[0].age_s < 130.0
+    workers.forget(["a", "b"])
+    assert workers.all() == []
+
+
+def test_blobs_in_use_are_known(database: Database) -> None:
+    names = {
+        name: digest_of(name.encode()) for name in ("up", "res", "canon", "art", "given", "old")
+    }
+    Uploads(database).add(names["up"], 1)
+    Resources(database).create(RESOURCE, "mesh", {"blob": names["res"]})
+    Resources(database).ready(RESOURCE, canonical=names["canon"], understood={})
+    jobs, runs = Jobs(database), Runs(database)
+    jobs.create(NewJob(id="open", kind="bake", request={}, context={"mesh": names["given"]}))
+    jobs.create(NewJob(id="done", kind="bake", request={"texture": names["old"]}))
+    runs.start("done")
+    artefact = NewArtefact("a.h5", "application/x-hdf5", names["art"], 1)
+    assert runs.succeed("done", result={}, artefacts=[artefact], progress=Progress())
+    assert referenced_blobs(database) == set(names.values()) - {names["old"]}
+
+
+def test_moments_of_now_are_aware(database: Database) -> None:
+    Jobs(database).create(NewJob(id="a", kind="bake", request={}))
+    Runs(database).start("a")
+    started = Jobs(database).get("a").started
+    assert started is not None
+    assert timedelta(0) <= datetime.now(UTC) - started < timedelta(minutes=1)
