@@ -33,7 +33,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "stages": [_stage_account(name, results, plan) for name in results],
         "plan": plan,
         "tiles": [
-            {name: tile[name] for name in ("signal", "residual", "counters")}
+            {name: tile[name] for name in ("signal", "residual", "rounding", "counters")}
             for tile in results.get("bake", [])
         ],
         "compressed": [
@@ -78,7 +78,7 @@ def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> 
 def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write the report as JSON and as a page."""
     plan = args["plan"] or {"parts": [], "effects": [], "notes": []}
-    counters: dict[str, float] = {}
+    counters: dict[str, int | float] = {}
     for tile in args["tiles"]:
         for name, value in tile["counters"].items():
             counters[name] = counters.get(name, 0) + value

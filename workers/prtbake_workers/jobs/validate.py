@@ -119,7 +119,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
 
     return ValidationScene(
         scene=scene,
-        accelerator=Accelerator(scene.positions, scene.faces),
+        accelerator=Accelerator(scene.positions, scene.faces, robust=True),
         parts=tuple(
             _validation_part(part, scene, header.provenance["occluders"][index])
             for index, part in enumerate(header.parts)

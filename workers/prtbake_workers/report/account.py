@@ -26,13 +26,14 @@ class StageAccount:
 def projection_errors(
     parts: Sequence[Mapping[str, Any]], tiles: Sequence[Mapping[str, Any]]
 ) -> dict[str, float]:
-    """Return each part's squared-error ratio of the projection, summed over its tiles."""
+    """Return each part's squared-error ratio of projection and 16-bit rounding, over its tiles."""
     done = iter(tiles)
     errors = {}
     for part in parts:
         own = [next(done) for _ in part["tiles"]]
         signal = sum(tile["signal"] for tile in own)
-        errors[part["name"]] = sum(tile["residual"] for tile in own) / signal if signal else 0.0
+        for name, key in ((part["name"], "residual"), (f"{part['name']} 16-bit", "rounding")):
+            errors[name] = sum(tile[key] for tile in own) / signal if signal else 0.0
     return errors
 
 
@@ -88,7 +89,7 @@ def make_report(
     settings: Mapping[str, Any] | None = None,
     sizes: Mapping[str, int] | None = None,
     renderer: Mapping[str, Any] | None = None,
-    counters: Mapping[str, float] | None = None,
+    counters: Mapping[str, int | float] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""

@@ -15,13 +15,13 @@ _ENVIRONMENT = jinja2.Environment(
 )
 
 
-def _percent(value: float | None) -> str:
+def _percent(value: int | float | None) -> str:
     if value is None:
         return "–"
     return f"{100 * value:.3g} %"
 
 
-def _bytes(value: float) -> str:
+def _bytes(value: int | float) -> str:
     for unit in ("B", "kB", "MB"):
         if abs(value) < 1000:
             return f"{value:.3g} {unit}"
@@ -29,7 +29,7 @@ def _bytes(value: float) -> str:
     return f"{value:.3g} GB"
 
 
-def _seconds(value: float) -> str:
+def _seconds(value: int | float) -> str:
     return f"{value:.3g} s" if value < 120 else f"{value / 60:.1f} min"
 
 

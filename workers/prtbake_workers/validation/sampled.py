@@ -60,7 +60,7 @@ def term_picture(
     validation: ValidationScene,
     plain: Asset,
     hits: PixelHits,
-    terms: list[Float64[F64, "verts terms 3"]],
+    terms: list[Float64[F64, "_ _ 3"]],
 ) -> Float64[F64, "hits 3"]:
     """Shade from the terms that the visible vertices of every part gathered."""
     full = [spread(validation, hits, part, values) for part, values in enumerate(terms)]

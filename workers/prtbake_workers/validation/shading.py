@@ -53,7 +53,7 @@ def with_plain_terms(validation: ValidationScene) -> Asset:
 
 
 def shade_hits(
-    asset: Asset, radiances: Sequence[Float32[F32, "verts terms 3"]], hits: PixelHits
+    asset: Asset, radiances: Sequence[Float32[F32, "_ _ 3"]], hits: PixelHits
 ) -> Float64[F64, "hits 3"]:
     """Shade the hits from what the vertices gathered, one array a part."""
     colours = shade(asset, radiances, hits.triangles.astype(np.int32), hits.barycentrics, hits.wo)

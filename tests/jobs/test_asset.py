@@ -1,0 +1,130 @@
+"""The main job's stages, for real, in this process."""
+
+import json
+
+import numpy as np
+import pytest
+from support.local_stages import run_stages
+from support.scenes import asset_request, run_asset, teapot_context
+
+from prtbake_storage.decode.reconstruct import reconstruct
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_workers.jobs.registry import REGISTRY
+
+
+def finished(glossy_asset):
+    request, context, results = glossy_asset
+    return REGISTRY.finish("asset", request, context, results)
+
+
+def test_every_promised_file_is_left(glossy_asset, store):
+    files = {file.name: file for file in finished(glossy_asset).artefacts}
+    assert set(files) == {
+        "transfer.h5", "asset.h5", "asset-float32.h5", "light.h5", "preview-front.png",
+        "preview-front.exr", "validation-front.png", "validation-back.png", "report.json",
+        "report.html",
+    }  # fmt: skip
+    assert all(store.size(file.digest) > 0 for file in files.values())
+
+
+def test_the_result_says_error_and_cost_of_every_stage(glossy_asset):
+    result = finished(glossy_asset).result
+    assert set(result["errors"]) == {"plan", "bake", "compress", "quantise", "fit_light"}
+    assert all(0 <= error < 1 for stage in result["errors"].values() for error in stage.values())
+    assert result["errors"]["bake"]["object"] > 0
+    assert result["seconds"]["total"] > 0
+    assert result["bytes"]["asset.h5"] < result["bytes"]["transfer.h5"]
+    assert {effect["effect"] for effect in result["effects"]} >= {"self_shadowing"}
+
+
+def test_the_stated_compression_error_is_that_of_the_files(glossy_asset, store):
+    """Reconstruct the float32 asset and hold it against the transfer file, independently."""
+    _, _, results = glossy_asset
+    asset = read_asset(store.local_path(results["quantise"][0]["exact"]))
+    with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
+        for index, part in enumerate(asset.parts):
+            truth = transfer.read(index).astype(np.float64)
+            areas = transfer.header.parts[index].areas
+            error = ((reconstruct(part, slice(None)) - truth) ** 2).sum(axis=(1, 2))
+            ratio = (areas @ error) / (areas @ (truth**2).sum(axis=(1, 2)))
+            stated = results["compress"][index]["errors"][part.name]
+            # float32 factors against float64 sums
+            assert stated == pytest.approx(ratio, rel=1e-3)
+
+
+def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):
+    from prtbake_storage.blobs.opening import open_store
+
+    request, _, results = glossy_asset
+    other = open_store((tmp_path / "blobs").as_uri())
+    again = run_asset(other, request, teapot_context(other, request))
+    assert again["join"][0]["transfer"] == results["join"][0]["transfer"]
+    assert again["quantise"][0]["asset"] == results["quantise"][0]["asset"]
+    assert again["fit_light"][0]["light"] == results["fit_light"][0]["light"]
+
+
+def test_the_page_holds_its_pictures_and_loads_nothing(glossy_asset, store):
+    files = {file.name: file.digest for file in finished(glossy_asset).artefacts}
+    page = store.read_bytes(files["report.html"]).decode()
+    assert page.count("data:image/png;base64,") == 3
+    assert "http://" not in page
+    assert "https://" not in page
+    report = json.loads(store.read_bytes(files["report.json"]))
+    assert report["budget"]["total"] <= report["budget"]["sum_of_lines"]
+
+
+def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
+    """compress, render and validate on the artefacts of earlier jobs."""
+    request, context, results = glossy_asset
+    artefacts = {
+        "transfer": {"digest": results["join"][0]["transfer"]},
+        "asset": {"digest": results["quantise"][0]["asset"]},
+        "light": {"digest": results["fit_light"][0]["light"]},
+    }
+    context = {**context, "artefacts": artefacts}
+    compress = {
+        "kind": "compress",
+        "transfer": "job/transfer.h5",
+        "settings": request["settings"]["compress"],
+    }
+    compressed = run_stages(REGISTRY.stages("compress", compress, context), store)
+    # another cluster count for the receiver, so compare the object's factors
+    assert compressed["compress"][0]["factors"] == results["compress"][0]["factors"]
+    assert "report.json" in {
+        file.name for file in REGISTRY.finish("compress", compress, context, compressed).artefacts
+    }
+    validate = {
+        "kind": "validate", "asset": "job/asset.h5", "transfer": "job/transfer.h5",
+        "light": "job/light.h5", "environment": request["environment"],
+        "settings": request["settings"]["validation"],
+    }  # fmt: skip
+    validated = run_stages(REGISTRY.stages("validate", validate, context), store)
+    assert len(validated["validate"]) == 2
+
+
+def test_estimate_plans_without_running(glossy_asset, store):
+    request, context, _ = glossy_asset
+    quick = {"request": {"kind": "asset", **request}}
+    results = run_stages(REGISTRY.stages("estimate", quick, context), store)
+    estimate = REGISTRY.finish("estimate", quick, context, results).result
+    assert estimate["total_seconds"] > 0
+    assert estimate["plan"]["parts"][0]["n_terms"] > 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "pointer"),
+    [
+        ({"settings": {"bake": {"bandwidth": 0.5}}}, None),
+        ({"settings": {"compress": {"method": "cpca"}}}, "/settings/compress/method"),
+        ({"albedo_texture": "sha256:" + "0" * 64}, "/albedo_texture"),
+    ],
+)
+def test_what_cannot_be_baked_is_refused_before_the_first_ray(store, changes, pointer):
+    request = asset_request(**changes)
+    context = teapot_context(store, request)
+    stages = REGISTRY.stages("asset", request, context)
+    with pytest.raises(SettingsError) as caught:
+        run_stages(stages[:1], store)
+    assert caught.value.pointer == pointer
