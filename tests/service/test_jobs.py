@@ -9,6 +9,8 @@ from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import Job, JobError, JobPage, Progress
 from prtbake_storage.queue.reconcile import reconcile_once
 
+PATIENT = {"Prefer": "wait=30"}
+
 
 def body_of(environment: str, **fields: object) -> dict[str, object]:
     return {"kind": "fit_light", "environment": environment} | fields
@@ -115,7 +117,7 @@ def test_estimate_gives_what_the_worker_found(service: LiveService, http, enviro
         "warnings": [],
     }
     service.answer_next("estimate", lambda job: service.succeed(job, estimate))
-    answer = http.post("/v1/jobs:estimate", json=body_of(environment))
+    answer = http.post("/v1/jobs:estimate", json=body_of(environment), headers=PATIENT)
     assert answer.status_code == 200
     assert answer.json() == estimate
 
@@ -126,7 +128,7 @@ def test_estimate_passes_a_refusal_on(
 ) -> None:
     error = JobError(kind=kind, code="bad-plan", detail="ranks too large", pointer="/settings")
     service.answer_next("estimate", lambda job: service.fail(job, error))
-    answer = http.post("/v1/jobs:estimate", json=body_of(environment))
+    answer = http.post("/v1/jobs:estimate", json=body_of(environment), headers=PATIENT)
     assert answer.status_code == status
     problem = answer.json()
     assert (problem["code"], problem["detail"]) == ("bad-plan", "ranks too large")

@@ -5,6 +5,7 @@ from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
 from prtbake_storage.contract.resources import Resource, ResourcePage
 
+PATIENT = {"Prefer": "respond-async, wait=30"}
 SKY = {"builtin": {"name": "sun_sky", "width": 32}}
 
 
@@ -37,7 +38,7 @@ def test_a_quick_worker_makes_it_a_201(service: LiveService, http: httpx.Client)
     canonical = service.backend.blobs.put_bytes(b"{}")
     result = {"canonical": canonical, "understood": {"spec": body["spec"]}}
     service.answer_next("register", lambda job: service.succeed(job, result))
-    answer = http.post("/v1/brdfs", json=body)
+    answer = http.post("/v1/brdfs", json=body, headers=PATIENT)
     assert answer.status_code == 201
     assert answer.json()["understood"] == {"spec": body["spec"]}
 
@@ -48,7 +49,7 @@ def test_a_refusal_says_what_and_where(service: LiveService, http: httpx.Client)
     body = {"blob": digest, "filename": "no.obj"}
     error = JobError(kind="input", code="invalid-mesh", detail="vertex 3 is NaN", pointer="/blob")
     service.answer_next("register", lambda job: service.fail(job, error))
-    answer = http.post("/v1/meshes", json=body)
+    answer = http.post("/v1/meshes", json=body, headers=PATIENT)
     assert answer.status_code == 400
     problem = answer.json()
     assert (problem["code"], problem["detail"]) == ("invalid-mesh", "vertex 3 is NaN")
@@ -57,7 +58,7 @@ def test_a_refusal_says_what_and_where(service: LiveService, http: httpx.Client)
     canonical = service.backend.blobs.put_bytes(b"mesh")
     result = {"canonical": canonical, "understood": {}}
     service.answer_next("register", lambda job: service.succeed(job, result))
-    again = http.post("/v1/meshes", json=body)
+    again = http.post("/v1/meshes", json=body, headers=PATIENT)
     assert again.status_code == 200
     assert again.json()["state"] == "ready"
     assert again.json()["problem"] is None
@@ -68,7 +69,7 @@ def test_a_fault_of_ours_is_no_refusal(service: LiveService, http, kind, status:
     body = {"builtin": {"name": "hall", "width": 64 if kind == "resource" else 128}}
     error = JobError(kind=kind, code="oops", detail="out of memory")
     service.answer_next("register", lambda job: service.fail(job, error))
-    assert http.post("/v1/environments", json=body).status_code == status
+    assert http.post("/v1/environments", json=body, headers=PATIENT).status_code == status
 
 
 def test_the_blob_must_be_there(http: httpx.Client) -> None:

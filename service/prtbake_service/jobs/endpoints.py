@@ -13,7 +13,7 @@ from prtbake_service.backend import BackendDep
 from prtbake_service.etags import etag_of, none_matches
 from prtbake_service.jobs.service import JobService, estimate_from
 from prtbake_service.jobs.stream import is_over, stream_events
-from prtbake_service.waiting import wait_until
+from prtbake_service.waiting import preferred_wait, wait_until
 from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobPage, JobRequest, JobState
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -55,14 +55,19 @@ def submit_as(
 
 
 @router.post("/jobs:estimate", responses={200: {"model": Estimate}, 202: {"model": Job}})
-async def estimate(request: JobRequest, service: ServiceDep, backend: BackendDep) -> Response:
+async def estimate(
+    request: JobRequest,
+    service: ServiceDep,
+    backend: BackendDep,
+    prefer: Annotated[str | None, Header(max_length=200)] = None,
+) -> Response:
     """Validate, plan and predict without running; 202 with the quick job if that takes longer."""
     job = await run_in_threadpool(service.estimate, request)
     job = await wait_until(
         lambda: service.get(job.id),
         lambda found: found.state.terminal,
         closing=backend.closing,
-        at_most=backend.settings.parse_wait,
+        at_most=preferred_wait(prefer, backend.settings),
         every=backend.settings.poll_every,
     )
     if job.state.terminal:

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Header, Path, Query, Response
 from starlette.concurrency import run_in_threadpool
 
 from prtbake_service.auth import Caller
 from prtbake_service.backend import Backend, BackendDep
 from prtbake_service.jobs.endpoints import PAGE, PAGE_MAX, RETRY_AFTER
 from prtbake_service.resources.service import Registration, ResourceService, refusal_of
-from prtbake_service.waiting import wait_until
+from prtbake_service.waiting import preferred_wait, wait_until
 from prtbake_storage.contract.resources import (
     BrdfRegistration,
     EnvironmentRegistration,
@@ -24,6 +24,7 @@ from prtbake_storage.contract.resources import (
 POLL = timedelta(milliseconds=50)
 """Parsing takes tenths of a second and somebody waits for it."""
 ResourceIdPath = Annotated[str, Path(pattern=r"^[a-z]+-[0-9a-f]{16}$")]
+Prefer = Annotated[str | None, Header(max_length=200, description="wait=SECONDS")]
 meshes = APIRouter(prefix="/v1/meshes", tags=["meshes"])
 brdfs = APIRouter(prefix="/v1/brdfs", tags=["brdfs"])
 environments = APIRouter(prefix="/v1/environments", tags=["environments"])
@@ -35,29 +36,44 @@ _POST: dict[str, Any] = {
 
 @meshes.post("", **_POST)
 async def register_mesh(
-    registration: MeshRegistration, backend: BackendDep, caller: Caller, response: Response
+    registration: MeshRegistration,
+    backend: BackendDep,
+    caller: Caller,
+    response: Response,
+    prefer: Prefer = None,
 ) -> Resource:
     """Parse a mesh and tell what was understood: counts, extents, repairs."""
     service = ResourceService(backend, caller.project, "mesh")
-    return await _register(service, registration, backend, response, "/v1/meshes")
+    at_most = preferred_wait(prefer, backend.settings)
+    return await _register(service, registration, backend, response, "/v1/meshes", at_most)
 
 
 @brdfs.post("", **_POST)
 async def register_brdf(
-    registration: BrdfRegistration, backend: BackendDep, caller: Caller, response: Response
+    registration: BrdfRegistration,
+    backend: BackendDep,
+    caller: Caller,
+    response: Response,
+    prefer: Prefer = None,
 ) -> Resource:
     """Check a BRDF and tell what was understood: model, energy, reciprocity."""
     service = ResourceService(backend, caller.project, "brdf")
-    return await _register(service, registration, backend, response, "/v1/brdfs")
+    at_most = preferred_wait(prefer, backend.settings)
+    return await _register(service, registration, backend, response, "/v1/brdfs", at_most)
 
 
 @environments.post("", **_POST)
 async def register_environment(
-    registration: EnvironmentRegistration, backend: BackendDep, caller: Caller, response: Response
+    registration: EnvironmentRegistration,
+    backend: BackendDep,
+    caller: Caller,
+    response: Response,
+    prefer: Prefer = None,
 ) -> Resource:
     """Parse an environment and tell what was understood: layout, dynamic range, repairs."""
     service = ResourceService(backend, caller.project, "environment")
-    return await _register(service, registration, backend, response, "/v1/environments")
+    at_most = preferred_wait(prefer, backend.settings)
+    return await _register(service, registration, backend, response, "/v1/environments", at_most)
 
 
 async def _register(
@@ -66,13 +82,14 @@ async def _register(
     backend: Backend,
     response: Response,
     path: str,
+    at_most: timedelta,
 ) -> Resource:
     resource, is_new = await run_in_threadpool(service.register, registration)
     resource = await wait_until(
         lambda: service.get(resource.id),
         _is_parsed,
         closing=backend.closing,
-        at_most=backend.settings.parse_wait,
+        at_most=at_most,
         every=POLL,
     )
     response.headers["Location"] = f"{path}/{resource.id}"
