@@ -1,5 +1,6 @@
 """OpenGL against the numpy decode on the same view."""
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +20,12 @@ pytestmark = pytest.mark.gl
 
 WIDTH, HEIGHT = 120, 90
 
-INTERIOR = 2e-3
+INTERIOR = 1e-3
 """Of the brightest value, where both see the same triangle.  The limit is the barycentrics: float32
-rays and rasteriser differ by 1e-4 to 1e-3 on triangles seen edge-on; measured worst 2e-4."""
+rays and rasteriser differ by 1e-4 to 1e-3 on triangles seen edge-on; worst of 16 views 3.0e-4."""
 
 SILHOUETTE_SHARE = 0.002
-"""Pixels where the centre falls on an edge within float32: measured at most 2 in 10,800."""
+"""Pixels where the centre falls on an edge within float32: worst of 16 views 7 in 10,800."""
 
 
 def view_of(asset: Asset, azimuth: float = 30.0) -> Pinhole:
@@ -121,6 +122,23 @@ def test_two_renderers_take_turns_and_sizes_change(scene: Asset, light: np.ndarr
     first.release()
     np.testing.assert_array_equal(second.render(view, WIDTH, HEIGHT).radiance, double.radiance)
     second.release()
+
+
+def test_a_dead_renderer_takes_nothing_of_a_living_one(scene: Asset, light: np.ndarray) -> None:
+    """Names of OpenGL objects are per context: whoever deletes in the wrong one deletes another's."""
+    view = view_of(scene)
+    with GlRenderer(scene) as living:
+        living.set_light(light)
+        before = living.render(view, WIDTH, HEIGHT)
+        dead = GlRenderer(scene)
+        dead.set_light(light)
+        dead.render(view, WIDTH, HEIGHT)
+        dead.release()
+        with living._context:
+            del dead
+            gc.collect()
+        after = living.render(view, WIDTH, HEIGHT)
+    np.testing.assert_array_equal(after.radiance, before.radiance)
 
 
 def test_samples_average_the_finer_picture(scene: Asset, light: np.ndarray) -> None:

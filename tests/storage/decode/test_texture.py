@@ -9,7 +9,12 @@ def test_rows_run_down_and_v_runs_up() -> None:
     texture = np.array([[[1.0], [2.0]], [[3.0], [4.0]]], np.float32)
     at = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])
     assert lookup_repeating(texture, at)[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert lookup_repeating(texture, at + np.array([3.0, -2.0]))[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert lookup_repeating(texture, at + np.array([3.0, -2.0]))[:, 0].tolist() == [
+        1.0,
+        2.0,
+        3.0,
+        4.0,
+    ]
     # the border mixes both sides: that is what repeating means
     assert lookup_repeating(texture, np.array([[0.0, 0.75]]))[0, 0] == 1.5
     assert lookup_repeating(texture, np.array([[0.5, 0.5]]))[0, 0] == 2.5

@@ -2,6 +2,9 @@
 
 A context belongs to the thread that made it.  A forked child of a process that ever had one hangs:
 renderers live in a process of their own, started by spawn or exec.
+
+Leave ``gc_mode`` of a context alone: with automatic collection an object that dies late is deleted
+by its name in whatever context is current by then, and takes that context's object with it.
 """
 
 import json
@@ -51,7 +54,6 @@ def create_context(device_index: int = 0) -> moderngl.Context:
         context = moderngl.create_context(require=REQUIRED_VERSION, standalone=True, **settings)
     except Exception as error:  # the library raises bare Exceptions
         raise GlUnavailable(f"no EGL context ({error}); packages needed: {PACKAGES}") from error
-    context.gc_mode = "auto"
     return context
 
 

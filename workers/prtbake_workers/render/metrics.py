@@ -9,10 +9,20 @@ import flip_evaluator
 import numpy as np
 
 from prtbake_workers.arrays import B8, F32, Bool, Float32
-from prtbake_workers.render.images import to_srgb8
+from prtbake_workers.render.images import LUMINANCE, to_srgb8
 
 REL_MSE_FLOOR = 0.01
 """Added to the squared reference, in units of its mean: black pixels would divide by zero."""
+
+FLIP_TONE = (0.9036, 0.018, 0.0, 0.8748, 0.354, 0.14)
+"""ACES as FLIP takes it: y = (a x^2 + b x + c) / (d x^2 + e x + f), the fit to six tenths of x."""
+
+FLIP_LEVEL = 0.85
+"""Tone at which FLIP sets the ends of its exposures: the brightest pixel, and the median one."""
+
+FLIP_STOPS = 12.0
+"""Most stops between them.  A picture with much black has its median at nothing; FLIP would spend
+its time on exposures in which everything seen is white."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +107,8 @@ def flip(
 ) -> tuple[float, Float32[F32, "height width"]]:
     """Return the mean HDR-FLIP error over the mask, and the error map.
 
-    A black reference has no exposure range and counts as error 1 where the test is not black.
+    FLIP's range of exposures comes from the mask, so that the emptiness around an object neither
+    costs time nor weighs.  A black reference has no exposure range and counts as error 1 where the test is not black.
     """
     a = np.where(mask[:, :, None], np.maximum(test, 0.0), 0.0).astype(np.float32)
     b = np.where(mask[:, :, None], np.maximum(reference, 0.0), 0.0).astype(np.float32)
@@ -109,6 +120,18 @@ def flip(
         found, _, _ = flip_evaluator.evaluate(b, a, "HDR", applyMagma=False, computeMeanError=False)
         errors = np.asarray(found, np.float32).reshape(mask.shape)
     return (float(errors[mask].mean(dtype=np.float64)) if mask.any() else 0.0), errors
+
+
+def _exposures(reference: Float32[F32, "pixels 3"]) -> dict[str, float]:
+    """Choose FLIP's exposures as it does, in log2, but from the pixels that count."""
+    luminance = reference.astype(np.float64) @ LUMINANCE
+    brightest = float(luminance.max())
+    median = max(float(np.median(luminance)), brightest * 2.0**-FLIP_STOPS)
+    a, b, c, d, e, f = FLIP_TONE
+    quadratic = (a - FLIP_LEVEL * d, b - FLIP_LEVEL * e, c - FLIP_LEVEL * f)
+    level = float(np.roots(quadratic).max())
+    start, stop = np.log2(level / brightest), np.log2(level / median)
+    return {"startExposure": float(start), "stopExposure": float(max(start, stop))}
 
 
 def _chosen(picture: np.ndarray, mask: B8) -> np.ndarray:
