@@ -108,7 +108,8 @@ def flip(
     """Return the mean HDR-FLIP error over the mask, and the error map.
 
     FLIP's range of exposures comes from the mask, so that the emptiness around an object neither
-    costs time nor weighs.  A black reference has no exposure range and counts as error 1 where the test is not black.
+    costs time nor weighs.  A black reference has no such range and counts as error 1 where the
+    test is not black.  About 10 us a pixel and exposure on one thread.
     """
     a = np.where(mask[:, :, None], np.maximum(test, 0.0), 0.0).astype(np.float32)
     b = np.where(mask[:, :, None], np.maximum(reference, 0.0), 0.0).astype(np.float32)
