@@ -25,12 +25,15 @@ def note(kind: str, name: str) -> None:
 
 
 def spin(args: dict[str, Any], context: TaskContext) -> None:
-    """Burn CPU for ``seconds``, saying how far it is."""
+    """Take ``seconds``, burning CPU if told to, and say how far it is."""
     end = time.monotonic() + args["seconds"]
     begin = time.monotonic()
     while (now := time.monotonic()) < end:
         context.progress(now - begin, args["seconds"], "s")
-        sum(range(20_000))
+        if args["burn"]:
+            sum(range(20_000))
+        else:
+            time.sleep(0.02)
 
 
 def tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
@@ -118,7 +121,12 @@ def _tiles(request: dict[str, Any]) -> list[Task]:
     return [
         Task(
             f"{HERE}:tile",
-            {"index": index, "seconds": request["seconds"], "seed": request["seed"]},
+            {
+                "index": index,
+                "seconds": request["seconds"],
+                "seed": request["seed"],
+                "burn": request.get("burn", False),
+            },  # fmt: skip
             label=f"tile {index}",
         )
         for index in range(request["n"])
