@@ -23,13 +23,21 @@ def equal_area_directions(n: int) -> F64:
 
 
 def synthetic_transfer(
-    n_verts: int, n_terms: int, n_coeffs: int, *, seed: int = 0, chunk: int = 2048
+    n_verts: int,
+    n_terms: int,
+    n_coeffs: int,
+    *,
+    seed: int = 0,
+    roughness: float = 1.0,
+    chunk: int = 2048,
 ) -> F32:
-    """Return float32 (verts, terms, coeffs)."""
+    """Return float32 (verts, terms, coeffs); ``roughness`` makes the bumps so many times finer."""
     rng = np.random.default_rng(seed)
     positions = equal_area_directions(n_verts)
     bumps = rng.standard_normal((4, 3)) * np.array([[2.0], [3.0], [4.0], [6.0]])
-    slopes = sum(0.12 * np.cos(positions @ bump)[:, None] * bump / 4.0 for bump in bumps)
+    slopes = sum(
+        0.12 * np.cos(roughness * (positions @ bump))[:, None] * bump / 4.0 for bump in bumps
+    )
     normals = positions + slopes
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])

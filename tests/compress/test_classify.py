@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from prtbake_workers.compress.classify import propose_clusters, reclassify
+from prtbake_workers.compress.classify import propose_clusters, propose_from_all, reclassify
 from prtbake_workers.compress.cluster_factors import (
     ClusterFactors,
+    fit_cluster,
     rank_zero,
     squared_residuals,
 )
@@ -40,12 +41,14 @@ def z(glossy):
 def test_proposals_are_those_of_brute_force(z, rng):
     factors = _random_factors(rng, z, 7)
     errors = _brute_force_errors(z, factors)
-    proposed = propose_clusters(z, factors)
+    labels = rng.integers(0, 7, len(z)).astype(np.int32)
+    own = errors[np.arange(len(z)), labels]
+    proposed = propose_clusters(z, factors, labels, own)
     chosen = errors[np.arange(len(z)), proposed]
     energy = np.sum(z.astype(float) ** 2, axis=(1, 2))
     assert np.all(chosen <= errors.min(axis=1) + 1e-6 * energy)
     wrong = [ClusterFactors(f.light, f.dual[:, ::-1].copy()) for f in factors]
-    chosen = errors[np.arange(len(z)), propose_clusters(z, wrong)]
+    chosen = errors[np.arange(len(z)), propose_clusters(z, wrong, labels, own)]
     assert not np.all(chosen <= errors.min(axis=1) + 1e-6 * energy)
 
 
@@ -53,7 +56,26 @@ def test_clusters_of_different_rank_are_compared_fairly(z, rng):
     factors = [_random_factors(rng, z, 1, r_light=2 + c, r_vert=1 + c)[0] for c in range(5)]
     factors.append(rank_zero(z.shape[2]))
     errors = _brute_force_errors(z, factors)
-    np.testing.assert_array_equal(propose_clusters(z, factors), np.argmin(errors, axis=1))
+    best = np.argmin(errors, axis=1)
+    np.testing.assert_array_equal(propose_from_all(z, factors), best)
+    labels = np.full(len(z), 5, np.int32)
+    np.testing.assert_array_equal(propose_clusters(z, factors, labels, errors[:, 5]), best)
+
+
+def test_the_bound_leaves_out_no_better_cluster(glossy):
+    """On fitted clusters, where it leaves out many; and with errors that are too small it does."""
+    z = np.ascontiguousarray(glossy[:, :5])
+    labels = (np.arange(len(z)) // 30).astype(np.int32)
+    ones = np.ones(len(z))
+    fits = [fit_cluster(z[labels == c], ones[:30], 8, 4, start=None, sweeps=1) for c in range(20)]
+    factors, errors = [f for f, _ in fits], np.concatenate([e for _, e in fits])
+    brute = _brute_force_errors(z, factors)
+    chosen = brute[np.arange(len(z)), propose_clusters(z, factors, labels, errors)]
+    energy = np.sum(z.astype(float) ** 2, axis=(1, 2))
+    assert np.count_nonzero(np.argmin(brute, axis=1) != labels) > 20
+    assert np.all(chosen <= brute.min(axis=1) + 1e-6 * energy)
+    wrong = brute[np.arange(len(z)), propose_clusters(z, factors, labels, 1e-4 * errors)]
+    assert not np.all(wrong <= brute.min(axis=1) + 1e-6 * energy)
 
 
 def test_nobody_moves_between_equal_clusters(z, rng):

@@ -1,10 +1,9 @@
 import numpy as np
 
 from prtbake_workers.compress.cluster_factors import (
-    initial_light_basis,
+    fit_cluster,
     projected_weights,
     vertex_basis,
-    vertex_step,
 )
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
@@ -48,9 +47,7 @@ def test_update_is_the_best_for_its_light_and_vertex_bases(glossy):
     start = np.eye(glossy.shape[1], 3, -4, dtype=np.float32)
     z, _ = _projected(glossy, start)
     members = [np.arange(0, 200, dtype=np.int32), np.arange(200, 600, dtype=np.int32)]
-    factors = [
-        vertex_step(z[m], initial_light_basis(z[m], ones[m], 8), ones[m], 6) for m in members
-    ]
+    factors = [fit_cluster(z[m], ones[m], 8, 6, start=None, sweeps=0)[0] for m in members]
     bases = [
         vertex_basis(projected_weights(z[m], f), ones[m])
         for m, f in zip(members, factors, strict=True)

@@ -1,9 +1,15 @@
 """Re-classification of vertices by approximation error ([Tsai2006]_ section 5.2.3).
 
-With orthonormal bases the error of vertex x in cluster c is ||Z_x||^2 - ||w_x,c||^2.  Light bases
-are folded into the dual bases, so the weights of a block of vertices in all clusters are one
-matrix product.  The product proposes; the residual itself decides, and the vertex moves only when
-its error really falls.  So neither rounding nor cancellation near zero error moves a vertex.
+With orthonormal bases the error of vertex x in cluster c is ||Z_x||^2 - ||w_x,c||^2, and with the
+light bases folded into the dual bases, F_c, the weights w_x,c = F_c uf(Z_x) of many vertices in
+many clusters are one matrix product.
+
+Most clusters need no product.  Vertex x of cluster c is uf(Z_x) = F_c^T w_x,c + r, so no cluster d
+captures more of it than (||F_d F_c^T w_x,c|| + ||r||)^2: products of small matrices, of which
+F_d F_c^T is shared by the whole cluster.  Only clusters that could capture more than c are tried.
+
+The product proposes; the residual itself decides, and the vertex moves only when its error really
+falls.  So neither rounding nor cancellation near zero error moves a vertex.
 """
 
 from collections.abc import Sequence
@@ -13,38 +19,17 @@ import numpy as np
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
 from prtbake_workers.compress.clusters import members_by_cluster
-from prtbake_workers.compress.energy import row_chunks
+from prtbake_workers.compress.parallel import map_clusters
 
-# The classes' product is as wide as all clusters' ranks together; so many vertices at a time keep
-# it at some 20 MiB while the product still runs at full speed.
-CHUNK_BYTES = 40 << 20
-
-
-def propose_clusters(
-    z: Float32[F32, "verts r_view coeffs"], factors: Sequence[ClusterFactors]
-) -> Int32[I32, " verts"]:
-    """Return the cluster with the least approximation error for each vertex, to float32.
-
-    Among scores that are equal to the bit the lowest number wins.
-    """
-    n_verts, r_view, n_coeffs = z.shape
-    rows = z.reshape(n_verts, r_view * n_coeffs)
-    r_vert = max(1, *(len(cluster.dual) for cluster in factors))
-    # Zero rows pad the clusters to one rank, so that their energies are sums along one axis.
-    bases = np.zeros((len(factors), r_vert, r_view * n_coeffs), dtype=np.float32)
-    for cluster, basis in zip(factors, bases, strict=True):
-        basis[: len(cluster.dual)] = cluster.folded(r_view)
-    stacked = bases.reshape(len(factors) * r_vert, r_view * n_coeffs)
-    proposed = np.empty(n_verts, dtype=np.int32)
-    for chunk in row_chunks(rows, CHUNK_BYTES):
-        weights = (rows[chunk] @ stacked.T).reshape(-1, len(factors), r_vert)
-        captured = np.einsum("vcr,vcr->vc", weights, weights, dtype=np.float64)
-        proposed[chunk] = np.argmax(captured, axis=1)
-    return proposed
+View = Float32[F32, "verts r_view coeffs"]
+# Relative rounding of the float32 bound: two products and a sum of squares, 1e-6 at the worst.
+BOUND_SLACK = 1e-5
+# Members of one cluster at a time: 40 MiB of them at the papers' ranks.
+CHUNK_VERTS = 2048
 
 
 def reclassify(
-    z: Float32[F32, "verts r_view coeffs"],
+    z: View,
     factors: Sequence[ClusterFactors],
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
@@ -59,17 +44,86 @@ def reclassify(
         The present cluster of each vertex and its squared residual there; both are changed in
         place for the vertices that move.
     """
-    proposed = propose_clusters(z, factors)
+    proposed = propose_clusters(z, factors, labels, errors)
     candidates = np.flatnonzero(proposed != labels)
-    n_moved = 0
-    for cluster, group in enumerate(members_by_cluster(proposed[candidates], len(factors))):
-        if len(group) == 0:
-            continue
-        verts = candidates[group]
+    groups = members_by_cluster(proposed[candidates], len(factors))
+
+    def confirm(cluster: int) -> int:
+        verts = candidates[groups[cluster]]
         residuals = squared_residuals(z[verts], factors[cluster])
         better = residuals < errors[verts]
         movers = verts[better]
         labels[movers] = cluster
         errors[movers] = residuals[better]
-        n_moved += len(movers)
-    return n_moved
+        return len(movers)
+
+    return sum(map_clusters(confirm, range(len(factors))))
+
+
+def propose_clusters(
+    z: View,
+    factors: Sequence[ClusterFactors],
+    labels: Int32[I32, " verts"],
+    errors: Float64[F64, " verts"],
+) -> Int32[I32, " verts"]:
+    """Return the cluster with the least error for each vertex, to float32.
+
+    The present one stays where no other is better.  Its plain twin is ``propose_from_all``.
+    """
+    bases = stacked_bases(factors, z.shape[1])
+    n_clusters, r_vert, _ = bases.shape
+    stacked = bases.reshape(n_clusters * r_vert, -1)
+    overlaps = (stacked @ stacked.T).reshape(n_clusters, r_vert, n_clusters * r_vert)
+    members = members_by_cluster(labels, n_clusters)
+    rows = z.reshape(len(z), -1)
+    proposed = labels.copy()
+
+    def propose(cluster: int) -> None:
+        for start in range(0, len(members[cluster]), CHUNK_VERTS):
+            verts = members[cluster][start : start + CHUNK_VERTS]
+            part = rows[verts]
+            own = part @ bases[cluster].T
+            captured = _energy(own[:, None])
+            reach = _energy((own @ overlaps[cluster]).reshape(-1, n_clusters, r_vert))
+            bound = (np.sqrt(reach) + np.sqrt(errors[verts, None])) ** 2
+            possible = bound * (1.0 + BOUND_SLACK) > captured
+            possible[:, cluster] = False
+            nearby = np.flatnonzero(possible.any(axis=0))
+            if len(nearby) == 0:
+                continue
+            weights = part @ bases[nearby].reshape(len(nearby) * r_vert, -1).T
+            scores = _energy(weights.reshape(-1, len(nearby), r_vert))
+            best = np.argmax(scores, axis=1)
+            better = scores[np.arange(len(verts)), best] > captured[:, 0]
+            proposed[verts[better]] = nearby[best[better]]
+
+    map_clusters(propose, range(n_clusters))
+    return proposed
+
+
+def propose_from_all(z: View, factors: Sequence[ClusterFactors]) -> Int32[I32, " verts"]:
+    """Return the cluster with the least error for each vertex, trying every cluster."""
+    bases = stacked_bases(factors, z.shape[1])
+    n_clusters, r_vert, _ = bases.shape
+    weights = z.reshape(len(z), -1) @ bases.reshape(n_clusters * r_vert, -1).T
+    scores = _energy(weights.reshape(len(z), n_clusters, r_vert))
+    return np.asarray(np.argmax(scores, axis=1), dtype=np.int32)
+
+
+def stacked_bases(
+    factors: Sequence[ClusterFactors], r_view: int
+) -> Float32[F32, "clusters r_vert r_view_coeffs"]:
+    """Return the folded bases of all clusters, padded to one rank with rows of zeros."""
+    r_vert = max(1, *(len(cluster.dual) for cluster in factors))
+    n_coeffs = len(factors[0].light)
+    bases = np.zeros((len(factors), r_vert, r_view * n_coeffs), dtype=np.float32)
+    for cluster, basis in zip(factors, bases, strict=True):
+        basis[: len(cluster.dual)] = cluster.folded(r_view)
+    return bases
+
+
+def _energy(
+    weights: Float32[F32, "verts clusters r_vert"],
+) -> Float64[F64, "verts clusters"]:
+    energy = np.einsum("vcr,vcr->vc", weights, weights, dtype=np.float64)
+    return np.asarray(energy, dtype=np.float64)

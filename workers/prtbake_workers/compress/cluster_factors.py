@@ -93,31 +93,66 @@ def light_step(
 
 
 def vertex_step(
-    z: View,
-    light: Float32[F32, "coeffs r_light"],
-    root_weights: Float64[F64, " verts"],
-    rank: int,
-) -> ClusterFactors:
-    """Return the factors with the best V_c for a given U_light,c.
+    projected: Float32[F32, "verts r_view_light"], root_weights: Float64[F64, " verts"], rank: int
+) -> Float32[F32, "r_vert r_view_light"]:
+    """Return the best V_c for a given U_light,c, whose ``project_light`` is ``projected``.
 
     V_c is the leading row space of the projected data, which is eq. (16) of [Tsai2006]_ without
     its division by zero where the cluster has lower rank than asked for.
     """
-    rows = project_light(z, light).astype(np.float64)
+    rows = projected.astype(np.float64)
     rows *= root_weights[:, None]
-    return ClusterFactors(light, leading_row_space(rows, rank).astype(np.float32))
+    return leading_row_space(rows, rank).astype(np.float32)
 
 
-def squared_residuals(z: View, factors: ClusterFactors) -> Float64[F64, " verts"]:
-    """Return ||Z_x - Z~_x||^2 of each vertex from the residual itself: exact near zero."""
+def fit_cluster(
+    z: View,
+    root_weights: Float64[F64, " verts"],
+    r_light: int,
+    r_vert: int,
+    *,
+    start: ClusterFactors | None,
+    sweeps: int,
+) -> tuple[ClusterFactors, Float64[F64, " verts"]]:
+    """Return the factors after so many sweeps from ``start``, and the squared residuals.
+
+    A sweep is a light step and a vertex step; neither can raise the weighted squared error of
+    ``start``.  Without one, the light mode's own leading vectors are the start.
+    """
+    if start is None:
+        light = initial_light_basis(z, root_weights, r_light)
+        projected = project_light(z, light)
+        dual = vertex_step(projected, root_weights, r_vert)
+    else:
+        light, dual = start
+        projected = project_light(z, light)
+    for _ in range(sweeps):
+        u_vert = vertex_basis(projected @ dual.T, root_weights)
+        light = light_step(z, u_vert, root_weights, r_light)
+        projected = project_light(z, light)
+        dual = vertex_step(projected, root_weights, r_vert)
+    factors = ClusterFactors(light, dual)
+    return factors, squared_residuals(z, factors, projected)
+
+
+def squared_residuals(
+    z: View,
+    factors: ClusterFactors,
+    projected: Float32[F32, "verts r_view_light"] | None = None,
+) -> Float64[F64, " verts"]:
+    """Return ||Z_x - Z~_x||^2 of each vertex from the residual itself: exact near zero.
+
+    ``projected`` is ``project_light`` of the same data, where the caller has it.
+    """
     n_verts, r_view, n_coeffs = z.shape
+    if projected is None:
+        projected = project_light(z, factors.light)
     energy = np.empty(n_verts)
     for chunk in row_chunks(z.reshape(n_verts, r_view * n_coeffs)):
-        part = z[chunk]
-        core = projected_weights(part, factors) @ factors.dual
+        core = (projected[chunk] @ factors.dual.T) @ factors.dual
         rows: F32 = np.matmul(
-            core.reshape(len(part) * r_view, factors.light.shape[1]), factors.light.T
+            core.reshape(len(core) * r_view, factors.light.shape[1]), factors.light.T
         )
-        np.subtract(part.reshape(-1, n_coeffs), rows, out=rows)
-        energy[chunk] = row_energy(rows.reshape(len(part), r_view * n_coeffs))
+        np.subtract(z[chunk].reshape(-1, n_coeffs), rows, out=rows)
+        energy[chunk] = row_energy(rows.reshape(len(core), r_view * n_coeffs))
     return energy

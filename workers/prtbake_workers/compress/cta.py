@@ -16,8 +16,9 @@ from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
 from prtbake_workers.compress.classify import reclassify
 from prtbake_workers.compress.cluster_factors import (
     ClusterFactors,
-    initial_light_basis,
+    fit_cluster,
     light_step,
+    project_light,
     projected_weights,
     rank_zero,
     squared_residuals,
@@ -209,24 +210,20 @@ class _Fit:
 
     def _fit_clusters(self) -> None:
         """Model step of the clustering phase: U_light,c and V_c of every cluster."""
-        first = not self.factors
         members = self._members()
 
         def fit(cluster: int) -> ClusterFactors:
             verts = members[cluster]
             if len(verts) == 0:
                 return rank_zero(self.z.shape[2])
-            z, roots = self.z[verts], self._roots_of(verts)
-            if first:
-                light = initial_light_basis(z, roots, self.ranks.light)
-                factors = vertex_step(z, light, roots, self.ranks.vert)
-            else:
-                factors = self.factors[cluster]
-            for _ in range(SWEEPS):
-                u_vert = vertex_basis(projected_weights(z, factors), roots)
-                light = light_step(z, u_vert, roots, self.ranks.light)
-                factors = vertex_step(z, light, roots, self.ranks.vert)
-            self.errors[verts] = squared_residuals(z, factors)
+            factors, self.errors[verts] = fit_cluster(
+                self.z[verts],
+                self._roots_of(verts),
+                self.ranks.light,
+                self.ranks.vert,
+                start=self.factors[cluster] if self.factors else None,
+                sweeps=SWEEPS,
+            )
             return factors
 
         self.factors = map_clusters(fit, range(self.n_clusters))
@@ -247,8 +244,9 @@ class _Fit:
                 return rank_zero(self.z.shape[2])
             z, roots = self.z[verts], self._roots_of(verts)
             light = light_step(z, vertex_bases[cluster], roots, self.ranks.light)
-            factors = vertex_step(z, light, roots, self.ranks.vert)
-            self.errors[verts] = squared_residuals(z, factors)
+            projected = project_light(z, light)
+            factors = ClusterFactors(light, vertex_step(projected, roots, self.ranks.vert))
+            self.errors[verts] = squared_residuals(z, factors, projected)
             return factors
 
         vertex_bases = map_clusters(basis, range(self.n_clusters))
