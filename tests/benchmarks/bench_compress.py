@@ -15,12 +15,11 @@ from harness import Row, best_time, in_child
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from synthetic_transfer import synthetic_transfer
-
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import INITIAL_ITERATIONS, CtaRanks, compress_cta
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.view_basis import initial_view_basis, project_view
+from synthetic_transfer import synthetic_transfer
 
 F32 = NDArray[np.float32]
 SEED = 0

@@ -1,7 +1,7 @@
 import pytest
-from support.scenes import asset_request, run_asset, teapot_context
 
 from prtbake_storage.blobs.opening import open_store
+from support.scenes import asset_request, run_asset, teapot_context
 
 
 @pytest.fixture(scope="session")

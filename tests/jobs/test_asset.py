@@ -4,14 +4,14 @@ import json
 
 import numpy as np
 import pytest
-from support.local_stages import run_stages
-from support.scenes import asset_request, run_asset, teapot_context
 
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs.registry import REGISTRY
+from support.local_stages import run_stages
+from support.scenes import asset_request, run_asset, teapot_context
 
 
 def finished(glossy_asset):

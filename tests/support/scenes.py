@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-from support.local_stages import registered, run_stages
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.validate import load_validation
 from prtbake_workers.validation.scene import ValidationScene
+from support.local_stages import registered, run_stages
 
 NO_RESOURCE = "0" * 16
 SMALL: dict[str, Any] = {

@@ -29,7 +29,7 @@ def test_irradiance_of_a_unit_sky_is_pi(rng):
 def test_a_sphere_overhead_takes_its_squared_sine(rng, height):
     """A ball of radius 1 straight above blocks sin^2 of its half angle of the irradiance."""
     ball = sphere_mesh(4)
-    accelerator = Accelerator(ball.positions + [0.0, height - 1.0, 0.0], ball.faces)
+    accelerator = Accelerator(ball.positions + np.array([0.0, height - 1.0, 0.0]), ball.faces)
     points = SurfacePoints(np.zeros((1, 3)), UP, UP)
     free = irradiance(points, accelerator, 1e-6, rng)
     expected = np.pi * (1.0 - 1.0 / height**2)

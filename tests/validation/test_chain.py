@@ -2,6 +2,11 @@
 
 import numpy as np
 import pytest
+
+from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.contract.settings import Camera, ValidateSettings
+from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_workers.validation.chain import LINES, validate_camera
 from support.scenes import (
     asset_request,
     relative_difference,
@@ -9,11 +14,6 @@ from support.scenes import (
     teapot_context,
     validation_of,
 )
-
-from prtbake_storage.blobs.opening import open_store
-from prtbake_storage.contract.settings import Camera, ValidateSettings
-from prtbake_storage.decode.relight import rotation_matrix
-from prtbake_workers.validation.chain import LINES, validate_camera
 
 SETTINGS = ValidateSettings(width=64, height=48, passes=6, samples=128)
 

@@ -83,7 +83,9 @@ class Camera(Wire):
 class RenderSettings(Wire):
     """Previews: one picture a camera, and ``turntable_frames`` with the light turning."""
 
-    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = [Camera()]
+    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = Field(
+        default_factory=lambda: [Camera()]
+    )
     width: Annotated[int, Field(ge=16, le=4096)] = 640
     height: Annotated[int, Field(ge=16, le=4096)] = 480
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
@@ -95,15 +97,19 @@ class RenderSettings(Wire):
 class ValidateSettings(Wire):
     """Reference pictures: ``passes`` x ``samples`` light samples give the value and its variance."""
 
-    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = [
-        Camera(),
-        Camera(name="back", azimuth_deg=200.0, elevation_deg=35.0),
-    ]
+    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = Field(
+        default_factory=lambda: [
+            Camera(),
+            Camera(name="back", azimuth_deg=200.0, elevation_deg=35.0),
+        ]
+    )
     width: Annotated[int, Field(ge=16, le=2048)] = 192
     height: Annotated[int, Field(ge=16, le=2048)] = 144
     passes: Annotated[int, Field(ge=2, le=256)] = 8
     samples: Annotated[int, Field(ge=1, le=65536)] = 128
-    rotations_deg: list[Vec3] = [(0.0, 0.0, 0.0)]
+    rotations_deg: Annotated[list[Vec3], Field(min_length=1, max_length=16)] = Field(
+        default_factory=lambda: [(0.0, 0.0, 0.0)]
+    )
 
 
 _STAGES: dict[str, type[Wire]] = {
