@@ -144,7 +144,7 @@ class Progress(Wire):
 
 
 class JobError(Wire):
-    """Why a job failed: ``input`` is the caller's to mend, ``resource`` the operator's, ``internal`` ours."""
+    """Why a job failed; ``input`` the caller can mend, ``resource`` the operator, ``internal`` us."""
 
     kind: Literal["input", "resource", "internal"]
     code: str

@@ -15,7 +15,7 @@ EnvironmentLayout = Literal["auto", "lat_long", "lat_long_exr", "angular_probe",
 
 
 class BuiltinMesh(Wire):
-    """A procedural mesh: the Newell teapot, ``tessellation`` quads along a patch edge; or a sphere."""
+    """A procedural mesh: a sphere, or the teapot of ``tessellation`` quads along a patch edge."""
 
     name: Literal["teapot", "icosphere"]
     tessellation: Annotated[int, Field(ge=1, le=64)] = 12
@@ -82,7 +82,7 @@ class BrdfRegistration(Wire):
 
 
 class Resource(Wire):
-    """A parsed input.  ``understood`` says what was found and repaired; ``canonical`` is its digest.
+    """A parsed input; ``understood`` says what was found and repaired.
 
     ``canonical`` names the blob that jobs read: a mesh or an environment as prtbake HDF5, a BRDF as
     canonical JSON.

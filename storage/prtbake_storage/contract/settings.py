@@ -29,7 +29,7 @@ class ReceiverPlane(Wire):
 
 
 class BakeSettings(Wire):
-    """Transport: ``cube_resolution`` N gives 6 N^2 directions; ``supersample`` S traces S^2 rays each."""
+    """Transport: ``cube_resolution`` N is 6 N^2 directions; ``supersample`` S is S^2 rays each."""
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
     supersample: Annotated[int, Field(ge=1, le=8)] = 1
@@ -95,7 +95,7 @@ class RenderSettings(Wire):
 
 
 class ValidateSettings(Wire):
-    """Reference pictures: ``passes`` x ``samples`` light samples give the value and its variance."""
+    """Reference pictures: ``passes`` x ``samples`` light samples give value and variance."""
 
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = Field(
         default_factory=lambda: [
