@@ -126,8 +126,10 @@ class Fleet:
         return self.noted(kind, prefix)
 
     def running(self, prefix: str) -> list[Note]:
-        """Tasks whose process is alive."""
-        return [note for note in self.noted("started", prefix) if is_alive(note.pid)]
+        """Tasks that have begun, have not noted their end, and whose process is alive."""
+        finished = {note.pid for note in self.noted("finished", prefix)}
+        started = self.noted("started", prefix)
+        return [note for note in started if note.pid not in finished and is_alive(note.pid)]
 
     def await_running(self, prefix: str) -> Note:
         """Wait until a task runs; gives the one that started last, with most of its time ahead."""

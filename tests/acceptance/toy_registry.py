@@ -126,7 +126,7 @@ def _tiles(request: dict[str, Any]) -> list[Task]:
                 "seconds": request["seconds"],
                 "seed": request["seed"],
                 "burn": request.get("burn", False),
-            },  # fmt: skip
+            },
             label=f"tile {index}",
         )
         for index in range(request["n"])

@@ -1,0 +1,75 @@
+"""Tasks that the tests of the child process run."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from typing import Any
+
+from prtbake_storage.errors import MeshError
+from prtbake_storage.queue.context import TaskContext
+
+
+def surroundings(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Tell what the process looks like."""
+    digest = context.store.put_bytes(b"from the child")
+    return {
+        "args": args,
+        "digest": digest,
+        "threads": os.environ["OPENBLAS_NUM_THREADS"],
+        "hash_seed": os.environ["PYTHONHASHSEED"],
+        "temporary": tempfile.gettempdir(),
+        "heavy": sorted({"dbos", "sqlalchemy", "pydantic_settings"} & set(sys.modules)),
+    }
+
+
+def chatter(_args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Talk on every channel."""
+    sys.stdout.write('{"result": "a lie"}\n')
+    os.write(1, b"native code prints too\n")
+    for done in range(1001):
+        context.progress(done, 1000, "rows")
+    context.log("half way", n=1)
+    return {"fine": True}
+
+
+def fail(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
+    """End without a result, in the way that ``how`` says."""
+    how = args["how"]
+    if how == "mesh":
+        raise MeshError("vertex 7 is NaN", pointer="/blob")
+    if how == "bug":
+        return {}["missing"]  # type: ignore[no-any-return]
+    if how == "no-dict":
+        return [1]  # type: ignore[return-value]
+    if how == "nan":
+        return {"value": float("inf")}
+    if how == "segfault":
+        ctypes.string_at(0)
+    if how == "exit":
+        sys.stderr.write("giving up\n")
+        os._exit(7)
+    if how == "memory":
+        return {"size": len(bytearray(1 << 33))}
+    if how == "cpu":
+        while True:
+            pass
+    return {}
+
+
+def hang(_args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Never end, with a process of one's own beside."""
+    helper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    (context.scratch / "file").write_bytes(b"x")
+    context.log("pids", own=os.getpid(), helper=helper.pid)
+    time.sleep(600.0)
+    return {}
+
+
+def stray_thread(_args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
+    """Leave a thread behind that would keep the process alive."""
+    threading.Thread(target=time.sleep, args=(600.0,)).start()
+    return {"fine": True}

@@ -1,0 +1,171 @@
+"""The child process: its surroundings, its ends, and that it never lives on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from prtbake_storage.blobs import LocalBlobStore
+from prtbake_storage.queue.child import run_task_in_child
+from prtbake_storage.queue.failures import TaskFailed, TaskStopped
+from prtbake_storage.queue.memo import Memory
+from prtbake_storage.queue.stages import Task
+
+HERE = str(Path(__file__).parent)
+Run = Callable[..., Memory]
+
+
+@pytest.fixture
+def messages() -> list[dict[str, Any]]:
+    """What the child sent."""
+    return []
+
+
+@pytest.fixture
+def run(tmp_path: Path, messages: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a task of `child_tasks`."""
+    monkeypatch.setenv("PYTHONPATH", HERE)
+    store = LocalBlobStore(tmp_path / "store")
+
+    def run(
+        name: str,
+        args: dict[str, Any],
+        stop: Callable[[], str | None] = lambda: None,
+        **limits: int,
+    ) -> Memory:
+        with store.scratch() as scratch:
+            return run_task_in_child(
+                Task(f"child_tasks:{name}", args, **limits),
+                store_url=store.url,
+                scratch=scratch,
+                on_message=messages.append,
+                should_stop=stop,
+                check_s=0.1,
+            )
+
+    return run
+
+
+def await_death(pid: int) -> None:
+    """Wait until a process is gone, or only its entry is left."""
+    until = time.monotonic() + 20.0
+    while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < until, f"process {pid} lives on"
+        time.sleep(0.02)
+
+
+def test_a_task_finds_its_threads_its_folder_and_its_store(run: Run, tmp_path: Path) -> None:
+    memory = run("surroundings", {"x": [1, "é"]}, threads=3)
+    found = memory.result
+    assert found["args"] == {"x": [1, "é"]}
+    assert (found["threads"], found["hash_seed"]) == ("3", "0")
+    assert found["temporary"].startswith(str(tmp_path / "store" / "scratch"))
+    assert found["heavy"] == []  # it must start fast, and know neither engine nor database
+    assert LocalBlobStore(tmp_path / "store").read_bytes(found["digest"]) == b"from the child"
+    assert memory.measured.seconds > 0.0
+    assert 1e6 < memory.measured.peak_memory_bytes < 1e9
+    assert list((tmp_path / "store" / "scratch").iterdir()) == []
+
+
+def test_only_the_tasks_own_words_count(run: Run, messages: list[dict[str, Any]]) -> None:
+    assert run("chatter", {}).result == {"fine": True}
+    assert {"log": {"message": "half way", "n": 1}} in messages
+    progress = [message["progress"] for message in messages if "progress" in message]
+    assert progress[-1] == [1000.0, 1000.0, "rows"]
+    assert len(progress) < 10  # of 1001 calls: people cannot read more
+
+
+@pytest.mark.parametrize(
+    ("how", "kind", "code", "detail", "retryable"),
+    [
+        ("mesh", "input", "invalid-mesh", "vertex 7 is NaN", False),
+        ("bug", "internal", "internal", "KeyError: 'missing'", False),
+        ("no-dict", "internal", "internal", "must return a dict, not list", False),
+        ("nan", "internal", "internal", "JSON compliant", False),
+        ("segfault", "resource", "task-died", "SIGSEGV", True),
+        ("exit", "resource", "task-died", "exited with 7: giving up", False),
+    ],
+)
+def test_an_end_without_result_is_told_by_kind(
+    run: Run, how: str, kind: str, code: str, detail: str, *, retryable: bool
+) -> None:
+    with pytest.raises(TaskFailed) as caught:
+        run("fail", {"how": how})
+    error = caught.value.error
+    assert (error.kind, error.code, caught.value.retryable) == (kind, code, retryable)
+    assert detail in error.detail
+    assert error.pointer == ("/blob" if how == "mesh" else None)
+
+
+def test_memory_and_time_are_limited(run: Run) -> None:
+    with pytest.raises(TaskFailed) as caught:
+        run("fail", {"how": "memory"}, memory_bytes=1 << 30)
+    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "out-of-memory")
+    assert not caught.value.retryable
+    with pytest.raises(TaskFailed) as caught:
+        run("fail", {"how": "cpu"}, cpu_seconds=1)
+    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "cpu-limit")
+
+
+def test_a_module_that_is_not_there_is_an_error_and_no_hang(run: Run) -> None:
+    with pytest.raises(TaskFailed, match="no_such"):
+        run("no_such", {})
+
+
+def test_a_stray_thread_does_not_keep_a_finished_task(run: Run) -> None:
+    assert run("stray_thread", {}).result == {"fine": True}
+
+
+def test_stopping_kills_the_task_and_what_it_started(
+    run: Run, messages: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    with pytest.raises(TaskStopped) as caught:
+        run("hang", {}, lambda: "canceled" if messages else None)
+    assert caught.value.reason == "canceled"
+    for pid in (messages[0]["log"]["own"], messages[0]["log"]["helper"]):
+        await_death(pid)
+    assert list((tmp_path / "store" / "scratch").iterdir()) == []
+
+
+def test_an_error_in_the_callback_kills_the_task(run: Run, messages: list[dict[str, Any]]) -> None:
+    def break_down() -> None:
+        if messages:
+            raise ConnectionError("the database is away")
+
+    with pytest.raises(ConnectionError):
+        run("hang", {}, break_down)
+    await_death(messages[0]["log"]["own"])
+
+
+def test_a_task_dies_with_a_parent_that_was_killed(tmp_path: Path) -> None:
+    code = (
+        "import json, sys; from pathlib import Path\n"
+        "from prtbake_storage.queue.child import run_task_in_child\n"
+        "from prtbake_storage.queue.stages import Task\n"
+        "say = lambda message: print(json.dumps(message), flush=True)\n"
+        "run_task_in_child(Task('child_tasks:hang', {}), store_url=sys.argv[1],\n"
+        "    scratch=Path(sys.argv[1]), on_message=say, should_stop=lambda: None)\n"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": HERE},
+    )
+    assert parent.stdout is not None
+    pids = json.loads(parent.stdout.readline())["log"]
+    try:
+        parent.kill()
+        parent.wait()
+        await_death(pids["own"])
+    finally:
+        parent.stdout.close()
+        os.kill(pids["helper"], signal.SIGKILL)

@@ -1,0 +1,87 @@
+"""The queue from outside, on a real engine without workers."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from prtbake_storage.contract.jobs import JobError, JobState
+from prtbake_storage.queue.engine import JobQueue, engine_url
+from prtbake_storage.queue.reconcile import reconcile_once
+from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers, create_database
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    database = create_database(database_url)
+    yield database
+    database.dispose()
+
+
+@pytest.fixture
+def queue(database_url: str) -> Iterator[JobQueue]:
+    queue = JobQueue(database_url)
+    yield queue
+    queue.close()
+
+
+def test_the_engine_lies_beside_or_inside_the_database() -> None:
+    assert engine_url("sqlite:////a/b/prtbake.sqlite") == "sqlite:////a/b/engine.sqlite"
+    assert engine_url("sqlite:///prtbake.sqlite") == "sqlite:///./engine.sqlite"
+    url = "postgresql+psycopg://me:s%40cret@host:5432/db"
+    assert engine_url(url) == "postgresql://me:s%40cret@host:5432/db"
+
+
+def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQueue) -> None:
+    """One walk through all calls: setting the engine up costs more than using it."""
+    jobs, runs = Jobs(database), Runs(database)
+    for name in ("sent", "lost", "ended", "quick"):
+        jobs.create(NewJob(id=name, kind="toy", request={}, quick=name == "quick"))
+
+    # submitting twice is submitting once
+    queue.submit("sent", priority=3)
+    queue.submit("sent", priority=3)
+    queue.submit("ended")
+    assert queue.statuses(["sent", "lost", "ended"]) == {"sent": "ENQUEUED", "ended": "ENQUEUED"}
+    assert (queue.known("sent"), queue.known("lost"), queue.statuses([])) == (True, False, {})
+
+    # a lost submission is made up for, once
+    assert reconcile_once(database, queue) == 2
+    assert (queue.known("lost"), queue.known("quick")) == (True, True)
+    assert reconcile_once(database, queue) == 0
+
+    # tasks share their job's prefix, and no other job's
+    queue.submit_task("sent", 0, 0, {"x": 1}, priority=3)
+    queue.submit_task("sent", 0, 1, {"x": 2}, priority=3)
+    queue.submit_task("sent2", 0, 0, {"x": 3}, priority=3)
+    assert queue.open_tasks("sent") == {"sent.0.0": "ENQUEUED", "sent.0.1": "ENQUEUED"}
+    queue.cancel(["sent.0.0"])
+    assert queue.open_tasks("sent") == {"sent.0.1": "ENQUEUED"}
+    assert queue.claims(["nobody"]) == []
+
+    # a row whose workflow was ended behind its back is closed
+    queue.cancel(["ended"])
+    assert reconcile_once(database, queue) == 1
+    job = jobs.get("ended")
+    assert (job.state, job.error) == ("canceled", None)
+
+    # with nobody alive a wish to cancel is fulfilled at once; with a worker it is the worker's
+    runs.start("sent")
+    jobs.request_cancel("sent")
+    Workers(database).beat("w", host="h", pid=1, tile_slots=1)
+    assert reconcile_once(database, queue) == 0
+    Workers(database).mark_gone("w")
+    assert reconcile_once(database, queue) == 1
+    assert jobs.get("sent").state == JobState.canceled
+
+    # a terminal row is left alone, whatever the engine thinks
+    runs.close("lost", Stop(JobState.failed, JobError(kind="internal", code="x", detail="y")))
+    assert reconcile_once(database, queue) == 0
+
+    # what is forgotten may be used anew
+    queue.forget("sent")
+    assert not queue.known("sent")
+    assert queue.open_tasks("sent") == {}
+    assert queue.open_tasks("sent2") == {"sent2.0.0": "ENQUEUED"}
+    assert queue.prune("2000-01-01T00:00:00+00:00") == 0
+    assert queue.prune("2999-01-01T00:00:00+00:00") == 1
+    assert not queue.known("ended")
