@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter
+from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.environment.environment import Environment, directions_from_angles
@@ -16,6 +17,10 @@ _NEGLIGIBLE = 1e-4
 
 PEAK = 20.0
 """What is brighter than this many times the mean of the rest is a peak: a sun, a lamp."""
+
+_ALWAYS = 0.05
+"""Share of a cell's squared radiance that counts as varying even where it is even: a lobe on a sun
+varies inside the sun."""
 
 _HOT_TEXELS = 8192
 """Texels that are split at most: with 9 parts each they stay below a map of 512 x 256."""
@@ -44,7 +49,7 @@ def environment_texels(environment: Environment) -> Cells:
     luminance = environment.luminance
     solid_angles = environment.solid_angles()
     hot = luminance > clip_level(luminance.ravel(), solid_angles)
-    hot = maximum_filter(hot, 3, mode=("nearest", "wrap")).ravel()
+    hot = maximum_filter(hot, 5, mode=("nearest", "wrap")).ravel()
     if hot.sum() > _HOT_TEXELS:
         power = np.where(hot, luminance.ravel() * solid_angles, 0.0)
         hot = np.zeros_like(hot)
@@ -84,8 +89,8 @@ def adaptive_cells(texels: Cells, face_cells: int, max_cells: int) -> Cells:
     """Merge texels into cells, splitting those in which the squared radiance varies most.
 
     Starts from ``face_cells`` along a cube's edge and splits the worst cells in four, a level at a
-    time, down to single texels, until about ``max_cells`` are in use.  A sun of a few texels is
-    so kept texel by texel while an even sky costs little.
+    time and their neighbours with them, down to single texels, until about ``max_cells`` are used.
+    A sun of a few texels is so kept texel by texel while an even sky costs little.
     """
     key = cell_of(texels.directions, face_cells)
     squared = texels.solid_angles * (texels.radiance**2).sum(axis=1)
@@ -95,18 +100,30 @@ def adaptive_cells(texels: Cells, face_cells: int, max_cells: int) -> Cells:
     while level < MAX_FACE_CELLS and len(open_texels):
         _, index, counts = np.unique(key[open_texels], return_inverse=True, return_counts=True)
         merged = _sums(texels, open_texels, index)
-        varies = np.bincount(index, squared[open_texels]) - _squared_of_sums(merged)
-        room = max_cells - len(np.unique(key))
+        whole = np.bincount(index, squared[open_texels])
+        varies = whole - (1 - _ALWAYS) * _squared_of_sums(merged)
+        # a share of the room for each level to come, or many lamps use it up before any is fine
+        room = (max_cells - len(np.unique(key))) // (MAX_FACE_CELLS // level).bit_length()
         worst = np.argsort(varies, kind="stable")[::-1][: max(room // 3, 0)]
         worst = worst[(varies[worst] > total * _NEGLIGIBLE / max_cells) & (counts[worst] > 1)]
         if not len(worst):
             break
-        chosen = np.isin(index, worst)
+        worst = _with_neighbours(worst, merged.directions, 1.6 * (np.pi / 2) / level)
+        chosen = np.isin(index, worst) & (counts > 1)[index]
         open_texels = open_texels[chosen]
         level *= 2
         key[open_texels] = offset + cell_of(texels.directions[open_texels], level)
         offset += 6 * level**2
     return _merge(texels, key)
+
+
+def _with_neighbours(
+    chosen: Int64[I64, " chosen"], sums: Float64[F64, "cells 3"], distance: float
+) -> Int64[I64, " more"]:
+    """Add the cells close to the chosen ones: what a lobe spills beside a sun has to be seen."""
+    directions = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    near = cKDTree(directions).query_ball_point(directions[chosen], distance)
+    return np.unique(np.concatenate([np.asarray(n, dtype=np.int64) for n in near]))
 
 
 def cell_of(directions: Float64[F64, "texels 3"], face_cells: int) -> Int64[I64, " texels"]:

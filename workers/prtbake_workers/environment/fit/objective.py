@@ -9,9 +9,9 @@ from scipy.linalg import cho_factor, cho_solve
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.environment.fit.cells import Cells
 
-RIDGE = 1e-7
+RIDGE = 1e-6
 """Weight of the coefficients' squared norm (RLS) beside the squared error: bounds the coefficients
-of lobes that nearly coincide, and moves the error of others in the seventh digit."""
+of lobes that nearly coincide, and moves the error of others in the sixth digit."""
 
 _ROWS_AT_A_TIME = 1 << 14
 

@@ -18,7 +18,7 @@ ENOUGH = 0.05
 """Residual power, as a share of all the light's, at which no more peak lobes are added."""
 
 _FACE_CELLS = 32
-_MAX_CELLS = 10000
+_MAX_CELLS = 16000
 _SEARCH_RAD = np.radians(4.0)
 _MAX_CANDIDATES = 200
 _WIDENINGS = 4.0 ** -np.arange(6)
@@ -48,17 +48,16 @@ def fit_peaks(peaks: Cells, total_power: float, n_most: int) -> Lobes:
     objective = SquaredError(cells)
     _, region = np.unique(cell_of(cells.directions, 2 * _FACE_CELLS), return_inverse=True)
     residual = cells.radiance
-    while len(lobes.bandwidths) < n_most:
+    for n in range(1, n_most + 1):
         power = cells.solid_angles * np.abs(residual).sum(axis=1)
-        if len(lobes.bandwidths) and power.sum() < ENOUGH * total_power:
-            break
         lobes = _with_best_lobe(lobes, cells, residual, _worst(region, power))
-        if len(lobes.bandwidths) % _REFINE_EVERY == 0 or len(lobes.bandwidths) < _REFINE_EVERY:
-            lobes = refine(objective, lobes, free="both", max_steps=10)
-        residual = (
-            cells.radiance
-            - evaluate_lobes(lobes, cells.directions) @ objective.project(lobes).coefficients
-        )
+        if n % _REFINE_EVERY == 0 or n < _REFINE_EVERY:
+            lobes = refine(objective, lobes, free="both", max_steps=15)
+        coefficients = objective.project(lobes).coefficients
+        residual = cells.radiance - evaluate_lobes(lobes, cells.directions) @ coefficients
+        left = float(cells.solid_angles @ np.abs(residual) @ LUMINANCE)
+        if left < ENOUGH * total_power:
+            break
     return refine(objective, lobes, free="both", max_steps=30)
 
 

@@ -16,7 +16,7 @@ Free = Literal["centres", "bandwidths", "both"]
 WIDEST_BANDWIDTH = 0.05
 """Almost constant over the sphere: wider lobes would only be copies of each other."""
 
-MOST_WIDTHS_MOVED = 4.0
+MOST_WIDTHS_MOVED = 1.5
 """How far a centre may move in its tangent plane before the chart is laid anew, in widths."""
 
 OnStep = Callable[[], None]
@@ -38,7 +38,7 @@ def refine(
     have one scale; a bandwidth varies as log lam.  No lobe becomes narrower than the cell it is in
     can show (``narrowest_bandwidths``).
 
-    The result is never worse than the start.
+    A lobe that has moved among larger cells is widened to what those can show.
     """
     chart = _Chart(lobes)
     n = len(lobes.bandwidths)
@@ -77,17 +77,20 @@ def refine(
         callback=None if on_step is None else lambda _x: on_step(),
         options={"maxiter": max_steps, "maxfun": 2 * max_steps, "ftol": tolerance, "maxcor": 20},
     )
-    return lobes_at(outcome.x)
+    moved = lobes_at(outcome.x)
+    narrowest = narrowest_bandwidths(objective.cells, moved.centres)
+    return moved._replace(bandwidths=np.minimum(moved.bandwidths, narrowest))
 
 
 def narrowest_bandwidths(cells: Cells, centres: Float64[F64, "lobes 3"]) -> Float64[F64, " lobes"]:
-    """Give the bandwidth at which a lobe's integral is twice the solid angle of its cell.
+    """Give the bandwidth at which a lobe's integral is four times the solid angle of its cell.
 
-    On a square lattice the sum over the cells then is the integral to 0.4 % wherever the centre
-    lies, 2 exp(-2 pi^2 / pi) by Poisson summation; at once the solid angle it would be 9 %.
+    On a square lattice the sum over the cells then is the integral to 1e-5 wherever the centre
+    lies, 2 exp(-4 pi) by Poisson summation, so that lobes of opposite sign that shape a sun keep
+    its power; at twice the solid angle it would be 0.4 %, and such a sun was 3 % too strong.
     """
     _, nearest = cKDTree(cells.directions).query(centres)
-    return np.asarray(np.pi / cells.solid_angles[nearest])
+    return np.asarray(np.pi / 2 / cells.solid_angles[nearest])
 
 
 class _Chart:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import EnvironmentError_, SettingsError
 from prtbake_workers.arrays import F64, Float, Float64
@@ -118,6 +119,16 @@ def _fit(
     texels: Cells, n_lobes: int, seed: int, max_iterations: int, progress: Progress
 ) -> ScatteredFit:
     _check(texels, n_lobes, max_iterations)
+    # one BLAS thread: the bytes do not depend on the machine's cores, and the many small products
+    # lose more to waiting threads than they gain
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit_stages(texels, n_lobes, seed, max_iterations, progress)
+
+
+def _fit_stages(
+    texels: Cells, n_lobes: int, seed: int, max_iterations: int, progress: Progress
+) -> ScatteredFit:
+    """Go through the stages."""
     rng = np.random.default_rng(seed)
     if texels.energy == 0.0:
         lobes = guess_lobes(even_cells(texels, _face_cells(n_lobes, 3)), n_lobes, rng)
@@ -143,10 +154,15 @@ def _fit(
     lobes = _pass(cells, lobes, max(1, steps // 2), "adaptive", errors)
     progress(0.7, "joint")
     lobes = Lobes(*(np.concatenate(parts) for parts in zip(lobes, peaks, strict=True)))
-    cells = adaptive_cells(texels, _face_cells(n_lobes, 32), 64 * n_lobes + 4096)
-    lobes = _pass(cells, lobes, max(1, steps // 2), "joint", errors)
-    progress(0.9, "coefficients")
+    cells = adaptive_cells(texels, _face_cells(n_lobes, 32), 96 * n_lobes + 4096)
+    moved = _pass(cells, lobes, max(1, steps // 2), "joint", errors)
+    progress(0.85, "coefficients")
     coefficients, error = solve_over(lobes, texels)
+    progress(0.95, "coefficients")
+    moved_coefficients, moved_error = solve_over(moved, texels)
+    # the pass saw merged texels: on a map of many lamps it can lose on the texels themselves
+    if moved_error < error:
+        lobes, coefficients, error = moved, moved_coefficients, moved_error
     progress(1.0, "coefficients")
     return ScatteredFit(
         centres=lobes.centres,
