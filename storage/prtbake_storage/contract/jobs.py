@@ -144,7 +144,7 @@ class Progress(Wire):
 
 
 class JobError(Wire):
-    """Why a job failed; ``input`` the caller can mend, ``resource`` the operator, ``internal`` us."""
+    """Why a job failed: ``input`` the caller mends, ``resource`` the operator, ``internal`` us."""
 
     kind: Literal["input", "resource", "internal"]
     code: str
