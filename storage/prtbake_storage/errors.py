@@ -5,7 +5,7 @@
     PrtError
     ├── InputError (ValueError)       the caller's data or settings; names the field or element
     │   ├── MeshError
-    │   ├── EnvironmentError_
+    │   ├── EnvironmentMapError
     │   ├── BrdfError
     │   └── SettingsError
     ├── NotFound (LookupError)
@@ -51,7 +51,7 @@ class MeshError(InputError):
     code = "invalid-mesh"
 
 
-class EnvironmentError_(InputError):
+class EnvironmentMapError(InputError):
     """An environment map cannot be used."""
 
     code = "invalid-environment"

@@ -12,6 +12,10 @@ Seconds = Annotated[float, Field(gt=0.0)]
 Count = Annotated[int, Field(ge=1)]
 
 
+REGISTRY = "prtbake_workers.jobs.registry:REGISTRY"
+"""``module:attribute`` of the job kinds that workers run unless told otherwise."""
+
+
 class QueueSettings(BaseSettings):
     """Where the queue lives and how eager it is; the URLs alone make it embedded or distributed.
 

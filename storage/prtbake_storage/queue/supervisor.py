@@ -10,8 +10,7 @@ import time
 from dataclasses import dataclass
 from types import TracebackType
 
-from prtbake_storage.queue.settings import QueueSettings, new_executor_id
-from prtbake_storage.queue.worker_main import REGISTRY
+from prtbake_storage.queue.settings import REGISTRY, QueueSettings, new_executor_id
 from prtbake_storage.records.database import Database, create_database
 from prtbake_storage.records.workers import Workers
 

@@ -14,10 +14,9 @@ import threading
 from typing import cast
 
 from prtbake_storage.queue.logs import configure_logging
-from prtbake_storage.queue.settings import QueueSettings, new_executor_id
+from prtbake_storage.queue.settings import REGISTRY, QueueSettings, new_executor_id
 from prtbake_storage.queue.stages import JobRunner
 
-REGISTRY = "prtbake_workers.jobs.registry:REGISTRY"
 _PR_SET_PDEATHSIG = 1
 
 

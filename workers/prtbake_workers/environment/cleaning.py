@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import B8, F32, Bool, Float32
 
 MAX_RADIANCE = 1e18
@@ -36,7 +36,7 @@ def clean_pixels(
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         Names the first places (x, y, channel) and how many there are.
     """
     finite = np.isfinite(pixels)
@@ -44,7 +44,7 @@ def clean_pixels(
     n_non_finite = int((~finite.all(axis=2)).sum())
     if n_non_finite:
         if not repair_non_finite:
-            raise EnvironmentError_(
+            raise EnvironmentMapError(
                 f"{n_non_finite} pixels hold NaN or infinity, the first at {'; '.join(places)}: "
                 "set repair_non_finite to replace them by the median of their neighbours",
                 pointer="/repair_non_finite",
@@ -59,7 +59,7 @@ def clean_pixels(
     )
     if cleaning.n_negative:
         if not clamp_negative:
-            raise EnvironmentError_(
+            raise EnvironmentMapError(
                 f"{cleaning.n_negative} pixels are negative, the first at "
                 f"{'; '.join(_places(pixels, low))}: set clamp_negative to make them zero",
                 pointer="/clamp_negative",
@@ -72,7 +72,7 @@ def clean_pixels(
 def _refuse_overflow(pixels: Float32[F32, "height width 3"]) -> None:
     high = pixels > MAX_RADIANCE
     if high.any():
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"{int(high.any(axis=2).sum())} pixels exceed {MAX_RADIANCE:g}, the first at "
             f"{'; '.join(_places(pixels, high))}: their light would overflow float32; scale the map"
         )
@@ -90,7 +90,7 @@ def _repaired(pixels: Float32[F32, "h w 3"], good: Bool[B8, "h w"]) -> Float32[F
     """Replace the pixels that are not good by the median of the good ones nearby."""
     height, width = good.shape
     if (~good).mean() > MAX_REPAIRED_SHARE:
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"{(~good).mean():.0%} of the pixels hold NaN or infinity; at most "
             f"{MAX_REPAIRED_SHARE:.0%} are repaired"
         )

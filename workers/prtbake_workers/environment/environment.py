@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -25,7 +25,7 @@ class Environment:
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         If the map is empty or a value is negative or not finite; names the first texel.
     """
 
@@ -33,11 +33,11 @@ class Environment:
 
     def __post_init__(self) -> None:
         if min(self.radiance.shape[:2]) < 1:
-            raise EnvironmentError_("the environment map has no texels")
+            raise EnvironmentMapError("the environment map has no texels")
         bad = ~(np.isfinite(self.radiance) & (self.radiance >= 0))
         if bad.any():
             y, x, channel = (int(i) for i in np.argwhere(bad)[0])
-            raise EnvironmentError_(
+            raise EnvironmentMapError(
                 f"texel (x={x}, y={y}) channel {channel} is {self.radiance[y, x, channel]}: "
                 "radiance is finite and not negative"
             )
@@ -111,12 +111,3 @@ def texel_of(directions: Float64[F64, "dirs 3"], height: int, width: int) -> Int
     column = np.floor(u * width).astype(np.int64) % width
     row = np.minimum((v * height).astype(np.int64), height - 1)
     return row * width + column
-
-
-def rotation_matrix(rotation_deg: tuple[float, float, float]) -> Float64[F64, "3 3"]:
-    """Give R = Rz Ry Rx from angles in degrees; the turned light is L'(d) = L(R^T d)."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
-    rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return np.asarray(rz @ ry @ rx, dtype=np.float64)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
 from prtbake_workers.environment.environment import lat_long_solid_angles
 from prtbake_workers.environment.picture import Picture
@@ -54,12 +54,12 @@ def recognise_layout(picture: Picture, filename: str | None) -> tuple[str, str]:
         stem = (filename or "").rpartition("/")[2].rpartition(".")[0].lower()
         if stem.endswith("probe") and _rim_is_black(picture.pixels):
             return "angular_probe", "the file name and the black rim"
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"a square picture ({width} x {height}) can be an angular probe, a mirror sphere or no "
             f"environment at all: {_STATE}; a mirror-sphere picture has to be unwrapped first",
             pointer="/layout",
         )
-    raise EnvironmentError_(
+    raise EnvironmentMapError(
         f"a picture of {width} x {height} is none of lat-long (2:1), cube strip (1:6) and angular "
         f"probe (1:1): {_STATE}",
         pointer="/layout",
@@ -71,7 +71,7 @@ def layout_of(name: str, height: int, width: int) -> Layout:
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         If the size does not fit the layout.
     """
     shape, layout = {
@@ -82,7 +82,7 @@ def layout_of(name: str, height: int, width: int) -> Layout:
     }[name]
     if not shape:
         ratio = {"angular_probe": "1:1", "cube_strip": "1:6"}.get(name, "2:1")
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"layout {name} needs a picture of {ratio}, this one is {width} x {height}",
             pointer="/layout",
         )

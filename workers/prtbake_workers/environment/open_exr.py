@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import F32, Float32
 from prtbake_workers.environment.picture import Picture, check_size
 
@@ -30,23 +30,26 @@ def decode_open_exr(data: bytes) -> Picture:
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         If the file is damaged, deep, sub-sampled, or holds other channels (they are named).
     """
-    # the library prints nothing and raises RuntimeError for each kind of damage
     try:
         headers = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).parts
         header: dict[str, Any] = headers[0].header
         _check_part(header)
-        part = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).parts[0]
+        parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).parts
+        # a part whose pixels are damaged is left out, with a line on stdout and no exception
+        if len(parts) != len(headers):
+            raise EnvironmentMapError("the OpenEXR file cannot be read: its pixels are damaged")
+        part = parts[0]
         channels = {name: channel.pixels for name, channel in part.channels.items()}
         sampling = {(c.xSampling, c.ySampling) for c in part.channels.values()}
     except (RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
-        if isinstance(error, EnvironmentError_):
+        if isinstance(error, EnvironmentMapError):
             raise
-        raise EnvironmentError_(f"the OpenEXR file cannot be read: {error}") from error
+        raise EnvironmentMapError(f"the OpenEXR file cannot be read: {error}") from error
     if sampling - {(1, 1)}:
-        raise EnvironmentError_("sub-sampled channels (luminance and chroma) are not read")
+        raise EnvironmentMapError("sub-sampled channels (luminance and chroma) are not read")
     used, warnings = _choose_channels(tuple(channels))
     planes = [np.asarray(channels[name]) for name in used]
     pixel_type = str(planes[0].dtype)
@@ -72,7 +75,7 @@ def decode_open_exr(data: bytes) -> Picture:
 def _check_part(header: dict[str, Any]) -> None:
     """Refuse deep data and sizes over the limit before pixels are decoded."""
     if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-        raise EnvironmentError_("a deep OpenEXR picture is not an environment map")
+        raise EnvironmentMapError("a deep OpenEXR picture is not an environment map")
     for window in ("dataWindow", "displayWindow"):
         lower, upper = (np.asarray(corner, dtype=np.int64) for corner in header[window])
         check_size(int(upper[0] - lower[0] + 1), int(upper[1] - lower[1] + 1))
@@ -86,7 +89,7 @@ def _choose_channels(names: tuple[str, ...]) -> tuple[tuple[str, ...], list[str]
         return ("R", "G", "B"), [f"channels left unused: {', '.join(rest)}"] if rest else []
     if len(colours) == 1 and colours[0] in _GREY:
         return colours, [f"one channel, {colours[0]}, is taken as grey"]
-    raise EnvironmentError_(
+    raise EnvironmentMapError(
         f"channels {', '.join(sorted(names))}: an environment needs R, G and B, or a single one of "
         f"{', '.join(_GREY)}"
     )
@@ -103,7 +106,7 @@ def _fit_display_window(
     width, height = (int(n) for n in upper - lower + 1)
     first, last = np.maximum(lower, data_lower), np.minimum(upper, data_upper) + 1
     if (first >= last).any():
-        raise EnvironmentError_("the data window and the display window do not meet")
+        raise EnvironmentMapError("the data window and the display window do not meet")
     canvas = np.zeros((height, width, 3), dtype=np.float32)
     to_x, to_y = (slice(int(a), int(b)) for a, b in zip(first - lower, last - lower, strict=True))
     from_x, from_y = (

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import F32, Float32
 
 MAX_PIXELS = 8192 * 4096
@@ -25,9 +25,9 @@ class Picture:
 def check_size(width: int, height: int) -> None:
     """Refuse a picture without pixels or with more than ``MAX_PIXELS``, before it is decoded."""
     if width < 1 or height < 1:
-        raise EnvironmentError_(f"the header says {width} x {height}: there is nothing to read")
+        raise EnvironmentMapError(f"the header says {width} x {height}: there is nothing to read")
     if width * height > MAX_PIXELS:
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"the picture has {width} x {height} pixels; at most {MAX_PIXELS} (8192 x 4096) are "
             "read: scale it down first"
         )

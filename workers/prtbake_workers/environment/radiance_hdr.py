@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import F32
 from prtbake_workers.environment.picture import Picture, check_size
 
@@ -43,7 +43,7 @@ def decode_radiance_hdr(data: bytes) -> Picture:
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         If the header is not understood, the pixels are XYZE, or the data end too early.
     """
     header = _read_header(data)
@@ -53,7 +53,7 @@ def decode_radiance_hdr(data: bytes) -> Picture:
     plain = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (header.major, header.minor)
     decoded = _decode_with_opencv(plain + bytes(body))
     if decoded is None or decoded.shape != (header.major, header.minor, 3):
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"the pixels end before {header.major} scanlines of {header.minor} are complete, "
             "or their run lengths are damaged"
         )
@@ -84,7 +84,7 @@ def _read_header(data: bytes) -> _Header:
     while True:
         end = data.find(b"\n", at, _MAX_HEADER)
         if end < 0:
-            raise EnvironmentError_(
+            raise EnvironmentMapError(
                 "the Radiance header has no resolution line such as -Y 512 +X 1024"
             )
         line, at = data[at:end].strip(), end + 1
@@ -96,7 +96,7 @@ def _read_header(data: bytes) -> _Header:
         name, _, value = line.decode("latin-1").partition("=")
         match name.strip().upper():
             case "FORMAT" if value.strip() != "32-bit_rle_rgbe":
-                raise EnvironmentError_(
+                raise EnvironmentMapError(
                     f"FORMAT={value.strip()} is not read: only RGB pixels (32-bit_rle_rgbe) are"
                 )
             case "EXPOSURE":
@@ -105,12 +105,14 @@ def _read_header(data: bytes) -> _Header:
             case "COLORCORR":
                 scale = [s * f for s, f in zip(scale, _numbers(line, value, 3), strict=True)]
             case "GAMMA" if _numbers(line, value, 1)[0] != 1.0:
-                raise EnvironmentError_(f"GAMMA={value.strip()}: radiance must be linear, gamma 1")
+                raise EnvironmentMapError(
+                    f"GAMMA={value.strip()}: radiance must be linear, gamma 1"
+                )
             case "PRIMARIES" if any(float(f) for f in value.split() if _is_number(f)):
                 warnings.append(f"PRIMARIES={value.strip()} left unused: taken as Rec.709")
     match = _RESOLUTION.match(line)
     if match is None or match[2] == match[5]:
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"the resolution line {line[:60]!r} is not of the form -Y 512 +X 1024"
         )
     major, minor = int(match[3]), int(match[6])
@@ -139,10 +141,10 @@ def _numbers(line: bytes, value: str, count: int) -> list[float]:
     """Read ``count`` positive numbers of a header line."""
     fields = value.split()
     if len(fields) < count or not all(_is_number(f) for f in fields[:count]):
-        raise EnvironmentError_(f"the header line {line[:60]!r} is not understood")
+        raise EnvironmentMapError(f"the header line {line[:60]!r} is not understood")
     numbers = [float(f) for f in fields[:count]]
     if not all(math.isfinite(n) and n > 0 for n in numbers):
-        raise EnvironmentError_(f"the header line {line[:60]!r} must hold positive numbers")
+        raise EnvironmentMapError(f"the header line {line[:60]!r} must hold positive numbers")
     return numbers
 
 
@@ -162,13 +164,13 @@ def _flat_pixels(body: memoryview, n_pixels: int) -> bytes:
     codes = np.frombuffer(body[: len(body) // 4 * 4], dtype=np.uint8).reshape(-1, 4)
     is_repeat = (codes[:, :3] == 1).all(axis=1)
     if len(codes) and is_repeat[0]:
-        raise EnvironmentError_("the pixels begin with a repeat of nothing")
+        raise EnvironmentMapError("the pixels begin with a repeat of nothing")
     source = np.maximum.accumulate(np.where(is_repeat, 0, np.arange(len(codes))))
     shift = np.maximum(np.arange(len(codes)) - source - 1, 0) * 8
     counts = np.where(is_repeat, codes[:, 3].astype(np.int64) << np.minimum(shift, 32), 1)
     ends = np.cumsum(np.minimum(counts, n_pixels))
     if not len(codes) or ends[-1] < n_pixels:
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"the pixels end early: {int(ends[-1]) if len(codes) else 0} of {n_pixels} are there"
         )
     last = int(np.searchsorted(ends, n_pixels)) + 1

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from prtbake_storage.errors import EnvironmentError_
+from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_storage.errors import EnvironmentMapError
 from prtbake_workers.arrays import F32, F64, Float32
 from prtbake_workers.environment.cleaning import clean_pixels
 from prtbake_workers.environment.environment import (
     LUMINANCE,
     Environment,
-    rotation_matrix,
 )
 from prtbake_workers.environment.layouts import (
     PIXEL_LAYOUTS,
@@ -55,7 +55,7 @@ def read_environment(
 
     Raises
     ------
-    EnvironmentError_
+    EnvironmentMapError
         If the file cannot be read or must not be used; says what is wrong and where.
     """
     picture = _decode(data)
@@ -98,7 +98,7 @@ def _decode(data: bytes) -> Picture:
         return decode_radiance_hdr(data)
     if is_open_exr(data):
         return decode_open_exr(data)
-    raise EnvironmentError_(
+    raise EnvironmentMapError(
         "the file is neither a Radiance picture (#?RADIANCE) nor OpenEXR"
         if data
         else "the file is empty"
@@ -110,7 +110,7 @@ def _decide_layout(picture: Picture, layout: str, filename: str | None) -> tuple
     if layout == "auto":
         return recognise_layout(picture, filename)
     if layout not in PIXEL_LAYOUTS:
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"layout {layout!r} is none of auto, {', '.join(PIXEL_LAYOUTS)}", pointer="/layout"
         )
     said = picture.layout_attribute

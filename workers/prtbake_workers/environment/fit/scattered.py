@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from prtbake_storage.errors import EnvironmentError_, SettingsError
+from prtbake_storage.errors import EnvironmentMapError, SettingsError
 from prtbake_workers.arrays import F64, Float, Float64
 from prtbake_workers.environment.environment import LUMINANCE, Environment
 from prtbake_workers.environment.fit.cells import (
@@ -103,7 +103,7 @@ def fit_scattered_srbf(
     ------
     SettingsError
         If ``n_lobes`` or ``max_iterations`` is below 1.
-    EnvironmentError_
+    EnvironmentMapError
         If a sample is not finite or negative, or a solid angle is not positive; names it.
     """
     return _fit(
@@ -225,7 +225,7 @@ def _check(texels: Cells, n_lobes: int, max_iterations: int) -> None:
     bad |= ~(texels.solid_angles > 0)
     if bad.any():
         i = int(np.argmax(bad))
-        raise EnvironmentError_(
+        raise EnvironmentMapError(
             f"texel {i} has radiance {texels.radiance[i].tolist()} and solid angle "
             f"{texels.solid_angles[i]}: finite, not negative and positive are needed"
         )
