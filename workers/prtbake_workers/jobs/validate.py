@@ -1,6 +1,7 @@
 """Job kind ``validate``: the chain of pictures of every camera, metrics, and the pictures."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.arrays import F32, I64
+from prtbake_workers.arrays import F64, I64
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.view_texture import view_texture
@@ -37,6 +38,8 @@ from prtbake_workers.validation.chain import ValidatedView, validate_camera
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 
 _MODULE = "prtbake_workers.jobs.validate"
+READ_VERTS = 256
+"""Visible vertices read at a time: their run in the file bounds the memory."""
 DIFFERENCE_SCALE = 0.25
 """Exposed difference that the heat picture shows as white."""
 
@@ -113,9 +116,9 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     scene = scene_of(header)
     bake = header.provenance["bake"]
 
-    def read(part: int, vertices: I64) -> F32:
+    def relight_stored(part: int, vertices: I64, light: F64) -> F64:
         start = header.parts[part].vertex_range[0]
-        return read_vertices(store, args["transfer"], part, vertices - start)
+        return relight_vertices(path, part, vertices - start, light)
 
     return ValidationScene(
         scene=scene,
@@ -127,7 +130,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         basis=SrbfBasis(header.centres, header.bandwidth),
         directions=cube_directions(bake["cube_resolution"]),
         supersample=bake["supersample"],
-        transfer=read,
+        relight_stored=relight_stored,
         exact=read_asset(store.local_path(args["exact"])),
         delivered=read_asset(store.local_path(args["asset"])),
         environment=load_environment(store, args["environment"]),
@@ -135,19 +138,16 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     )
 
 
-def read_vertices(store: BlobStore, digest: str, part: int, vertices: I64) -> F32:
-    """Read the coefficients of some vertices of a part, in runs of what lies close together."""
-    with open_transfer(store.local_path(digest)) as transfer:
-        header = transfer.header
-        shape = (len(vertices), header.parts[part].n_terms, len(header.centres))
-        result = np.zeros(shape, np.float32)
-        for first in range(0, len(vertices), 256):
-            chosen = vertices[first : first + 256]
-            if not len(chosen):
-                continue
-            start = int(chosen[0])
-            block = transfer.read(part, start, int(chosen[-1]) + 1)
-            result[first : first + 256] = block[chosen - start]
+def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
+    """Contract stored coefficients of some vertices of a part with light, chunk by chunk."""
+    with open_transfer(path) as transfer:
+        shape = (len(vertices), transfer.header.parts[part].n_terms, light.shape[1])
+        result = np.zeros(shape)
+        for first in range(0, len(vertices), READ_VERTS):
+            chosen = vertices[first : first + READ_VERTS]
+            block = transfer.read(part, int(chosen[0]), int(chosen[-1]) + 1)
+            block = block[chosen - chosen[0]]
+            result[first : first + READ_VERTS] = block.astype(np.float64) @ light
     return result
 
 

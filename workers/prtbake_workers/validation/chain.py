@@ -20,7 +20,6 @@ from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, v
 from prtbake_workers.validation.sampled import (
     asset_picture,
     sampled_terms,
-    stored_terms,
     term_picture,
 )
 from prtbake_workers.validation.scene import ValidationScene
@@ -83,7 +82,11 @@ def validate_camera(
             validation, hits, rotation, exact, settings, seed + index, advance
         )
         chain += sampled[index]
-        chain += _decoded_pictures(validation, hits, rotation)
+        fitted = fitted_light(validation, rotation)
+        chain += [
+            asset_picture(asset, fitted, hits)[None]
+            for asset in (validation.exact, validation.delivered)
+        ]
         advance()
         pictures = tuple(
             ChainPicture(name, passes) for name, passes in zip(LINES, chain, strict=True)
@@ -134,7 +137,7 @@ def _sampled_pictures(
     rotations: list[Float64[F64, "3 3"]],
     advance: Callable[[], None],
 ) -> list[list[Float64[F64, "one hits 3"]]]:
-    """Visibility sampling, basis and 16-bit transfer; the rays are traced once for all lights."""
+    """Render from sampled visibility to the light fit, with one pass over rays and file."""
     basis, directions = validation.basis, validation.directions
     projection = basis.projection_matrix(directions.directions, directions.weights)
     spacing = 0.25 / np.sqrt(basis.bandwidth)
@@ -145,17 +148,24 @@ def _sampled_pictures(
     ]
     fluxes = [cell_flux(validation.environment, rotation, directions) for rotation in rotations]
     columns = np.concatenate(fluxes + [projection @ light for light in lights], axis=1)
+    fitted = [fitted_light(validation, rotation) for rotation in rotations]
+    on_stored = np.concatenate(lights + fitted, axis=1)
     gathered, stored = [], []
     for part, span in enumerate(validation.scene.part_ranges):
         vertices = hits.vertices_of(*span)
         gathered.append(sampled_terms(validation, part, vertices, columns))
-        stored.append(stored_terms(validation, part, vertices, np.concatenate(lights, axis=1)))
+        stored.append(validation.relight_stored(part, vertices, on_stored))
         advance()
     plain, n = with_plain_terms(validation), len(rotations)
     return [
         [
             term_picture(validation, plain, hits, [t[..., _rgb(column)] for t in terms])[None]
-            for terms, column in ((gathered, index), (gathered, n + index), (stored, index))
+            for terms, column in (
+                (gathered, index),
+                (gathered, n + index),
+                (stored, index),
+                (stored, n + index),
+            )
         ]
         for index in range(n)
     ]
@@ -165,21 +175,11 @@ def _rgb(index: int) -> slice:
     return slice(3 * index, 3 * index + 3)
 
 
-def _decoded_pictures(
-    validation: ValidationScene, hits: PixelHits, rotation: Float64[F64, "3 3"]
-) -> list[Float64[F64, "one hits 3"]]:
-    """Light fit on the stored transfer, then the asset in 32 and in 16 bits."""
+def fitted_light(
+    validation: ValidationScene, rotation: Float64[F64, "3 3"]
+) -> Float64[F64, "coeffs 3"]:
+    """Whiten the fitted light, turned."""
     light = validation.light
-    fitted = validation.basis.light_from_lobes(
+    return validation.basis.light_from_lobes(
         light.centres, light.bandwidths, light.coefficients, rotation
     )
-    terms = [
-        stored_terms(validation, part, hits.vertices_of(*span), fitted)
-        for part, span in enumerate(validation.scene.part_ranges)
-    ]
-    plain = with_plain_terms(validation)
-    return [
-        term_picture(validation, plain, hits, terms)[None],
-        asset_picture(validation.exact, fitted, hits)[None],
-        asset_picture(validation.delivered, fitted, hits)[None],
-    ]

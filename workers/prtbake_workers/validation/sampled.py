@@ -11,8 +11,6 @@ from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationScene
 from prtbake_workers.validation.shading import shade_hits, spread
 
-__all__ = ["asset_picture", "sampled_terms", "stored_terms", "term_picture"]
-
 
 def sampled_terms(
     validation: ValidationScene,
@@ -44,16 +42,6 @@ def sampled_terms(
         psi = own.factorisation.eval_psi(wi.reshape(-1, 3)).reshape(*wi.shape[:2], -1)
         result[block] = (psi * cosine[..., None]).transpose(0, 2, 1) @ columns
     return result
-
-
-def stored_terms(
-    validation: ValidationScene,
-    part: int,
-    vertices: Int64[I64, " verts"],
-    light: Float64[F64, "coeffs columns"],
-) -> Float64[F64, "verts terms columns"]:
-    """Contract the stored 16-bit transfer with whitened light."""
-    return np.asarray(validation.transfer(part, vertices).astype(np.float64) @ light)
 
 
 def term_picture(

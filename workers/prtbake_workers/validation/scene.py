@@ -32,8 +32,9 @@ class ValidationPart:
 class ValidationScene:
     """Everything between the reference and the asset.
 
-    ``transfer(part, vertices)`` reads stored whitened coefficients (verts, terms, coeffs) of
-    vertices in scene numbering.  ``exact`` is the asset before its factors were quantised.
+    ``relight_stored(part, vertices, light)`` contracts the stored whitened coefficients of
+    vertices, in scene numbering, with columns of whitened light.  ``exact`` is the asset before
+    its factors were quantised.
     """
 
     scene: Scene
@@ -42,7 +43,10 @@ class ValidationScene:
     basis: SrbfBasis
     directions: CubeDirections
     supersample: int
-    transfer: Callable[[int, Int64[I64, " verts"]], Float32[F32, "verts terms coeffs"]]
+    relight_stored: Callable[
+        [int, Int64[I64, " verts"], Float64[F64, "coeffs columns"]],
+        Float64[F64, "verts terms columns"],
+    ]
     exact: Asset
     delivered: Asset
     environment: Environment
