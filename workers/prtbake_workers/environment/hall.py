@@ -37,7 +37,9 @@ def hall(width: int) -> Environment:
     """
     if width < 2 or width % 2:
         raise SettingsError(f"width {width} must be even and at least 2")
-    return Environment(resample(_radiance, width // 2, width, supersample=4))
+    # samples a third of a degree apart at most, or coarse maps would miss lamps
+    supersample = max(4, 1024 // width)
+    return Environment(resample(_radiance, width // 2, width, supersample=supersample))
 
 
 def _radiance(directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dirs 3"]:
