@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 from prtbake_storage.contract.jobs import JobError, JobState
+from prtbake_storage.errors import PrtError
 from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
 from prtbake_storage.queue.memo import Memory, recall
@@ -78,6 +79,8 @@ class JobRun:
             raise
         except TaskFailed as failed:
             self._fail(failed.error)
+        except PrtError as error:  # on purpose: from the job's kind, or a blob that is gone
+            self._fail(describe(error))
         except Exception as error:  # noqa: BLE001 - logged whole, and the job's end says it
             _log.exception("job.crashed", extra={"job_id": self._job_id})
             self._fail(describe(error))

@@ -38,6 +38,11 @@ def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float =
             queue.submit(job.job_id, quick=job.quick, priority=job.priority)
             _log.info("job.resubmitted", extra={"job_id": job.job_id})
             mended += 1
+        elif status == "SUCCESS" and job.state == JobState.queued:
+            # it never ran, so the workflow is that of an earlier job with this id
+            queue.forget(job.job_id)
+            queue.submit(job.job_id, quick=job.quick, priority=job.priority)
+            mended += 1
         elif status in ENDED:
             # the row may have been closed since we read it: then `close` does nothing
             mended += runs.close(job.job_id, _verdict(job, status), cause="engine")

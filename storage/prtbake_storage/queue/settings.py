@@ -31,7 +31,8 @@ class QueueSettings(BaseSettings):
     heartbeat_s, dead_after_s
         A worker beats every ``heartbeat_s``; one silent for ``dead_after_s`` is declared dead.
     poll_s
-        How often queues and waiting jobs look at the database.
+        How often the queues of tasks and quick jobs, and waiting jobs, look at the database; the
+        queue of long jobs looks half as often.
     cancel_check_s
         How often a running task asks whether it should stop.
     tile_slots, quick_slots, job_slots

@@ -6,11 +6,13 @@ them wins and the other learns of it.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal, NamedTuple
 
 import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from prtbake_storage.contract.jobs import TERMINAL, JobError, JobState, Progress
@@ -154,17 +156,18 @@ class Runs:
 
     def task_progress(self, job_id: str, stage: int, progress: TaskProgress) -> None:
         """Record how far a running task is."""
-        with self._database.write() as session:
-            session.merge(
-                TaskProgressRow(
-                    job_id=job_id,
-                    stage=stage,
-                    position=progress.position,
-                    done=progress.done,
-                    total=progress.total,
-                    unit=progress.unit,
-                )
-            )
+        row = TaskProgressRow(
+            job_id=job_id,
+            stage=stage,
+            position=progress.position,
+            done=progress.done,
+            total=progress.total,
+            unit=progress.unit,
+        )
+        # two workers may run one task for a moment and insert at once, or the job is deleted: this
+        # is for people only, and no task may fail for it
+        with suppress(IntegrityError), self._database.write() as session:
+            session.merge(row)
 
     def tasks_under_way(self, job_id: str, stage: int) -> list[TaskProgress]:
         """How far the tasks of a stage are, as far as they said."""

@@ -1,9 +1,12 @@
 """The queue from outside, on a real engine without workers."""
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
@@ -85,3 +88,13 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.prune("2000-01-01T00:00:00+00:00") == 0
     assert queue.prune("2999-01-01T00:00:00+00:00") == 1
     assert not queue.known("ended")
+
+
+def test_one_module_knows_the_engine() -> None:
+    package = Path(prtbake_storage.__file__).parent
+    knowing = [
+        path
+        for path in package.rglob("*.py")
+        if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.M)
+    ]
+    assert knowing == [package / "queue" / "engine.py"]

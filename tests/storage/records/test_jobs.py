@@ -235,6 +235,7 @@ def test_task_progress_is_kept_until_the_end(database: Database) -> None:
     for done in (1.0, 2.0):
         runs.task_progress("a", 0, TaskProgress(3, done, 4.0, "rows"))
     runs.task_progress("a", 1, TaskProgress(0, 1.0, 1.0, "files"))
+    runs.task_progress("no-such-job", 0, TaskProgress(0, 1.0, 1.0, ""))
     assert runs.tasks_under_way("a", 0) == [TaskProgress(3, 2.0, 4.0, "rows")]
     runs.close("a", Stop(JobState.failed, ERROR))
     assert runs.tasks_under_way("a", 0) == []
