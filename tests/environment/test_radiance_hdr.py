@@ -67,7 +67,7 @@ def test_old_run_lengths_are_decoded_with_long_counts(make_hdr) -> None:
     header = make_hdr(np.ones((32, 64, 3), np.float32))[: -32 * 64 * 4]
     # the first pixel, repeated 0x2 + 0x3 * 256 = 770 times more; the second to the end: 1277
     codes = [first, [1, 1, 1, 2], [1, 1, 1, 3], second, [1, 1, 1, 0xFC], [1, 1, 1, 4]]
-    pixels = decode_radiance_hdr(header + bytes(sum(codes, []))).pixels.reshape(-1, 3)
+    pixels = decode_radiance_hdr(header + bytes(np.ravel(codes).tolist())).pixels.reshape(-1, 3)
     assert (pixels[:771] == np.array([1.0, 0.5, 0.25])).all()
     assert (pixels[771:] == np.array(second[:3]) / 256 * 4).all()
 

@@ -104,7 +104,9 @@ def test_a_wide_map_is_box_filtered(make_exr, smooth_picture, monkeypatch) -> No
     environment, report = read_environment(make_exr(exr_channels(smooth_picture)))
     assert (environment.width, environment.height) == (32, 16)
     assert report.resampled
-    assert environment.mean_radiance == pytest.approx(Environment(smooth_picture).mean_radiance, rel=1e-6)
+    assert environment.mean_radiance == pytest.approx(
+        Environment(smooth_picture).mean_radiance, rel=1e-6
+    )
 
 
 def test_rotation_is_applied_and_reported(make_hdr, smooth_picture) -> None:
