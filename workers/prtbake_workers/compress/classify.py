@@ -24,8 +24,9 @@ from prtbake_workers.compress.parallel import map_clusters
 View = Float32[F32, "verts r_view coeffs"]
 # Relative rounding of the float32 bound: two products and a sum of squares, 1e-6 at the worst.
 BOUND_SLACK = 1e-5
-# Members of one cluster at a time: 40 MiB of them at the papers' ranks.
-CHUNK_VERTS = 2048
+# Vertices that try the union of their possible clusters together.  Fewer try less in vain, 14 % of
+# all pairs at the papers' settings where 7 % are possible; more keep the products efficient.
+BLOCK_VERTS = 64
 
 
 def reclassify(
@@ -79,23 +80,27 @@ def propose_clusters(
     proposed = labels.copy()
 
     def propose(cluster: int) -> None:
-        for start in range(0, len(members[cluster]), CHUNK_VERTS):
-            verts = members[cluster][start : start + CHUNK_VERTS]
-            part = rows[verts]
-            own = part @ bases[cluster].T
-            captured = _energy(own[:, None])
-            reach = _energy((own @ overlaps[cluster]).reshape(-1, n_clusters, r_vert))
-            bound = (np.sqrt(reach) + np.sqrt(errors[verts, None])) ** 2
-            possible = bound * (1.0 + BOUND_SLACK) > captured
-            possible[:, cluster] = False
-            nearby = np.flatnonzero(possible.any(axis=0))
-            if len(nearby) == 0:
-                continue
-            weights = part @ bases[nearby].reshape(len(nearby) * r_vert, -1).T
-            scores = _energy(weights.reshape(-1, len(nearby), r_vert))
-            best = np.argmax(scores, axis=1)
-            better = scores[np.arange(len(verts)), best] > captured[:, 0]
-            proposed[verts[better]] = nearby[best[better]]
+        verts = members[cluster]
+        part = rows[verts]
+        own = part @ bases[cluster].T
+        captured = _energy(own[:, None])
+        reach = _energy((own @ overlaps[cluster]).reshape(len(verts), n_clusters, r_vert))
+        bound = (np.sqrt(reach) + np.sqrt(errors[verts, None])) ** 2
+        possible = bound * (1.0 + BOUND_SLACK) > captured
+        possible[:, cluster] = False
+        # Vertices with about as many possible clusters mostly share them.
+        order = np.argsort(np.count_nonzero(possible, axis=1), kind="stable")
+        for start in range(0, len(verts), BLOCK_VERTS):
+            block = order[start : start + BLOCK_VERTS]
+            tried = part[block]
+            best, best_captured = labels[verts[block]], captured[block, 0]
+            for other in np.flatnonzero(possible[block].any(axis=0)):
+                weights = tried @ bases[other].T
+                score = _energy(weights[:, None])[:, 0]
+                better = score > best_captured
+                best[better] = other
+                best_captured[better] = score[better]
+            proposed[verts[block]] = best
 
     map_clusters(propose, range(n_clusters))
     return proposed
