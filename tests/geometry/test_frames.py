@@ -33,3 +33,10 @@ def test_seed_turns_each_frame_about_its_normal():
     assert cosines.max() > 0.95
     assert (tangent_frames(NORMALS, seed=1) == turned).all()
     assert (tangent_frames(NORMALS, seed=2) != turned).any()
+
+
+def test_tangents_are_horizontal_and_bitangents_climb():
+    frames = tangent_frames(icosphere(3))
+    away = np.abs(frames[:, 2, 1]) < 1.0 - 1e-12
+    assert np.abs(frames[away, 0, 1]).max() < 1e-15
+    assert frames[away, 1, 1].min() > 0.0
