@@ -2,7 +2,6 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib.metadata import version
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
@@ -21,6 +20,7 @@ from prtbake_service.pages.endpoints import static_files
 from prtbake_service.resources.endpoints import brdfs, environments, meshes
 from prtbake_service.settings import ServiceSettings
 from prtbake_service.uploads.endpoints import router as uploads
+from prtbake_storage import __version__
 from prtbake_storage.queue.reconcile import Reconciler
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
@@ -59,7 +59,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
 
     app = FastAPI(
         title="prtbake",
-        version=version("prtbake"),
+        version=__version__,
         summary="Bake, compress and relight precomputed radiance transfer.",
         openapi_url="/v1/openapi.json",
         # the stock pages load scripts from elsewhere
