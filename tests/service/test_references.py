@@ -40,6 +40,18 @@ def test_context_of_artefacts(service: LiveService, http, submit) -> None:
     }
 
 
+def test_context_of_a_validation(service: LiveService, http, submit, environment: str) -> None:
+    job = submit(seed=77)
+    service.succeed(job["id"], {}, transfer_h5=b"T", asset_h5=b"A", exact_h5=b"E", light_h5=b"L")
+    files = {role: f"{job['id']}/{role}.h5" for role in ("transfer", "asset", "light")}
+    body = {"kind": "validate", "environment": environment} | files
+    made = http.post("/v1/jobs", json=body).json()
+    assert set(service.backend.jobs.context(made["id"])["artefacts"]) == set(files)
+    made = http.post("/v1/jobs", json=body | {"exact": f"{job['id']}/exact.h5"}).json()
+    exact = service.backend.jobs.context(made["id"])["artefacts"]["exact"]
+    assert service.backend.blobs.read_bytes(exact["digest"]) == b"E"
+
+
 @pytest.mark.parametrize(
     ("change", "pointer"),
     [

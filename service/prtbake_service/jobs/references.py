@@ -75,10 +75,15 @@ class Resolver:
             case RenderRequest():
                 return {"artefacts": self._artefacts(asset=request.asset, light=request.light)}
             case ValidateRequest():
+                references = {
+                    "asset": request.asset,
+                    "transfer": request.transfer,
+                    "light": request.light,
+                }
+                if request.exact is not None:
+                    references["exact"] = request.exact
                 return {
-                    "artefacts": self._artefacts(
-                        asset=request.asset, transfer=request.transfer, light=request.light
-                    ),
+                    "artefacts": self._artefacts(**references),
                     "environment": self._resource("environment", request.environment),
                 }
 

@@ -58,6 +58,10 @@ Priority = Annotated[int, typer.Option(help="1 (first) to 100.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
 Timeout = Annotated[int | None, typer.Option(help="Seconds after which the job expires.")]
 Artefact = Annotated[str, typer.Option(help="JOB/NAME of an earlier job.")]
+Exact = Annotated[
+    str | None,
+    typer.Option(help="JOB/NAME of the asset in 32 bits, to tell compression from quantisation."),
+]
 
 
 def asset(
@@ -189,6 +193,7 @@ def validate(
     transfer: Artefact,
     light: Artefact,
     environment: Environment,
+    exact: Exact = None,
     setting: Set = None,
     label: Label = None,
     priority: Priority = 50,
@@ -199,6 +204,7 @@ def validate(
     return {
         "kind": "validate",
         "asset": asset,
+        **({"exact": exact} if exact is not None else {}),
         "transfer": transfer,
         "light": light,
         "environment": environment_id(client, environment),
