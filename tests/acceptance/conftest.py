@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
+
 from support.deployment import Installation, installed, without_settings
 from support.main_job import Finished, main_request
 

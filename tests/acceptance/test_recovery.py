@@ -12,15 +12,6 @@ from typing import Any
 import httpx
 import psutil
 import pytest
-from support.deployment import (
-    EAGER,
-    Installation,
-    free_port,
-    installed,
-    is_alive,
-    until,
-)
-from support.main_job import HEAVY_BAKE, Finished, main_request
 
 from prtbake import Client, ServiceUnreachable
 from prtbake.config import read_key
@@ -30,6 +21,15 @@ from prtbake_storage.queue.stages import Results, Task
 from prtbake_storage.records import Events, NewJob
 from prtbake_storage.testing.postgres import fresh_database
 from prtbake_workers.jobs.registry import REGISTRY
+from support.deployment import (
+    EAGER,
+    Installation,
+    free_port,
+    installed,
+    is_alive,
+    until,
+)
+from support.main_job import HEAVY_BAKE, Finished, main_request
 
 pytestmark = pytest.mark.acceptance
 

@@ -15,7 +15,7 @@ SETTINGS: dict[str, Any] = {
     "fit_light": {"n_lobes": 24, "max_iterations": 1},
     "render": {"width": 64, "height": 48},
     "validation": {
-        "width": 64, "height": 48, "passes": 4, "samples": 32, "cameras": [{"name": "front"}],
+        "width": 48, "height": 36, "passes": 4, "samples": 16, "cameras": [{"name": "front"}],
     },
 }  # fmt: skip
 # 12,288 directions of 64 rays above every vertex: minutes, in one tile a part
