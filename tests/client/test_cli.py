@@ -286,3 +286,12 @@ def test_the_result_may_hold_anything(run: Run, service: LiveService, submitted:
     odd: dict[str, Any] = {"budget": [], "errors": 3, "effects": "none", "seconds": None, "x": {}}
     service.succeed(submitted, odd)
     assert run("show", submitted).exit_code == 0
+
+
+def test_a_url_given_by_hand_beats_that_of_the_data_directory(tmp_path):
+    (tmp_path / "server.json").write_text('{"url": "http://127.0.0.1:1"}')
+    result = CliRunner().invoke(
+        app, ["--url", "http://127.0.0.1:2", "--data-dir", str(tmp_path), "ls"]
+    )
+    assert result.exit_code == Exit.unreachable
+    assert "127.0.0.1:2" in result.output

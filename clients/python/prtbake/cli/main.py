@@ -24,7 +24,9 @@ app = typer.Typer(
 @app.callback()
 def options(
     context: typer.Context,
-    url: Annotated[str | None, typer.Option(envvar="PRTBAKE_URL", help="The service.")] = None,
+    url: Annotated[
+        str | None, typer.Option(help="The service; else PRTBAKE_URL, else a local one.")
+    ] = None,
     key: Annotated[
         str | None, typer.Option(envvar="PRTBAKE_API_KEY", help="An API key.", show_envvar=True)
     ] = None,
@@ -33,7 +35,7 @@ def options(
     ] = None,
 ) -> None:
     """Keep what all commands need."""
-    context.obj = Target(None if data_dir else url, key, data_dir)
+    context.obj = Target(url, key, data_dir)
 
 
 app.add_typer(submit_group, name="submit")
