@@ -28,6 +28,8 @@ ROUGHNESS = 8.0
 TWIN_SWEEPS = 3
 TWIN_ITERATIONS = 2
 LEAST_SPEED_UP = 4.0
+# Two local searches from one start part ways by rounding: by 1e-4 of the error in trials.
+SAME_ERROR = 1.001
 MOST_UNITS = 41.0
 MOST_MEMORY_BYTES = 4 << 30
 
@@ -82,14 +84,14 @@ def rows(quick: bool) -> list[Row]:
             f"CTA, error after {TWIN_ITERATIONS} iterations",
             measured=ours["errors"][TWIN_ITERATIONS - 1] / twin["errors"][-1],
             unit="of the twin's",
-            limit=1.0,
+            limit=SAME_ERROR,
             error=ours["errors"][TWIN_ITERATIONS - 1],
             limit_description="the twin's error",
         ),
         Row(
             f"CTA in all, {ours['iterations']} iterations",
             seconds=ours["seconds"],
-            measured=ours["seconds"] / unit["seconds"],
+            measured=None if quick else ours["seconds"] / unit["seconds"],
             unit="units",
             limit=None if quick else MOST_UNITS,
             error=ours["errors"][-1],
