@@ -28,17 +28,18 @@ def test_values_that_are_not_finite_are_refused_by_place(value) -> None:
 
 
 def test_repair_takes_the_median_of_the_finite_neighbours() -> None:
-    pixels = ramp()
+    ramp_ = np.tile(ramp(), (2, 1, 1))
+    pixels = ramp_.copy()
     pixels[2, 2, 0] = np.nan
     pixels[2, 3] = np.inf
     mended, found = clean_pixels(pixels, repair_non_finite=True, clamp_negative=True)
-    window = ramp()[1:4, 1:4].reshape(9, 3)[[0, 1, 2, 3, 6, 7, 8]]
+    window = ramp_[1:4, 1:4].reshape(9, 3)[[0, 1, 2, 3, 6, 7, 8]]
     assert np.array_equal(mended[2, 2], np.median(window, axis=0))
     assert found.n_non_finite == 2
     assert found.non_finite_places[0].startswith("(x=2, y=2, channel=R): nan")
-    untouched = np.ones((5, 6), bool)
+    untouched = np.ones((10, 6), bool)
     untouched[2, 2:4] = False
-    assert np.array_equal(mended[untouched], ramp()[untouched])
+    assert np.array_equal(mended[untouched], ramp_[untouched])
 
 
 def test_repair_widens_its_window_until_it_finds_something() -> None:

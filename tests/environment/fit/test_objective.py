@@ -5,12 +5,13 @@ import pytest
 from scipy.optimize import check_grad
 
 from prtbake_workers.environment.environment import lat_long_directions, lat_long_solid_angles
-from prtbake_workers.environment.fit.cells import Cells
+from prtbake_workers.environment.fit.cells import Cells, cell_of
 from prtbake_workers.environment.fit.objective import (
     RIDGE,
     Lobes,
     SquaredError,
     evaluate_lobes,
+    residual,
     solve_over,
     squared_error,
 )
@@ -54,9 +55,11 @@ def test_projected_coefficients_are_those_of_dense_least_squares(cells, lobes) -
     found = SquaredError(cells).project(lobes)
     assert found.coefficients == pytest.approx(expected, rel=1e-8)
     assert found.error == pytest.approx(((rows @ expected - target) ** 2).sum(), rel=1e-10)
-    over, error = solve_over(lobes, cells)
+    over = solve_over(lobes, cells)
     assert over == pytest.approx(expected, rel=1e-8)
-    assert error == pytest.approx(((design @ expected - target[:-5]) ** 2).sum(), rel=1e-10)
+    assert squared_error(lobes, over, cells) == pytest.approx(
+        ((design @ expected - target[:-5]) ** 2).sum(), rel=1e-10
+    )
 
 
 def relative_gradient_error(value, gradient, x) -> float:
@@ -121,3 +124,18 @@ def test_the_charts_origin_is_the_centre_and_steps_are_in_widths(lobes) -> None:
     moved = chart.centres(np.tile([1.0, 0.0], 5))
     angle = np.arccos((moved * lobes.centres).sum(axis=1))
     assert angle == pytest.approx(np.arctan(1 / np.sqrt(np.maximum(lobes.bandwidths, 1))), rel=1e-9)
+
+
+def test_a_region_weight_buys_better_means_with_squared_error(cells, lobes) -> None:
+    def region_error(coefficients):
+        left = residual(lobes, coefficients, cells)
+        region = cell_of(cells.directions, 16)
+        sums = np.stack(
+            [np.bincount(region, cells.solid_angles * left[:, c]) for c in range(3)], axis=1
+        )
+        areas = np.bincount(region, cells.solid_angles)
+        return (sums[areas > 0] ** 2 / areas[areas > 0, None]).sum()
+
+    plain, weighted = solve_over(lobes, cells), solve_over(lobes, cells, region_weight=100.0)
+    assert region_error(weighted) < region_error(plain)
+    assert squared_error(lobes, weighted, cells) > squared_error(lobes, plain, cells)

@@ -14,6 +14,7 @@ from prtbake_workers.environment.fit.cells import Cells
 from prtbake_workers.environment.fit.objective import Lobes, evaluate_lobes
 from prtbake_workers.environment.fit.refine import narrowest_bandwidths
 from prtbake_workers.environment.procedural import constant, one_texel_sun
+from prtbake_workers.environment.sky import sun_direction
 
 KNOWN = Lobes(
     np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, -0.6, -0.8]]), np.array([4.0, 12, 30, 8])
@@ -68,15 +69,18 @@ def test_equal_arguments_give_equal_bytes() -> None:
 
 def test_a_sun_of_one_texel_keeps_its_power_and_leaves_lobes_for_the_sky() -> None:
     sun = one_texel_sun(64)
-    fit = fit_environment(sun, 12, seed=0, max_iterations=3)
-    assert fit.n_peak_lobes >= 1
-    # Gaussians in a square texel: measured 0.03 with four of them
-    assert fit.error < 0.1
-    # the lobes' integrals in closed form against the map's power
-    assert fit.power_ratio == pytest.approx(1.0, abs=0.03)
-    away = np.array([[0.0, -1.0, 0.0], [-0.8, 0.0, 0.6]])
-    sky = evaluate_lobes(Lobes(fit.centres, fit.bandwidths), away) @ fit.coefficients
-    assert sky == pytest.approx(np.full((2, 3), 0.05), rel=0.3)
+    fit = fit_environment(sun, 24, seed=0, max_iterations=3)
+    assert 1 <= fit.n_peak_lobes <= 8
+    # Gaussians in a square texel: measured 0.024 with eight of them
+    assert fit.error < 0.05
+    # the lobes' integrals in closed form against the map's power: measured 1e-4
+    assert fit.power_ratio == pytest.approx(1.0, abs=0.005)
+    directions, weights = sun.directions(), sun.solid_angles()
+    far = directions @ sun_direction(40.0, 30.0) < np.cos(0.5)
+    sky = evaluate_lobes(Lobes(fit.centres, fit.bandwidths), directions[far]) @ fit.coefficients
+    rms = np.sqrt(weights[far] @ (sky[:, 0] - 0.05) ** 2 / weights[far].sum())
+    # the sun is 1e4 times as bright; measured 0.03, and 0.23 by least squares alone
+    assert rms / 0.05 < 0.1
 
 
 def test_no_lobe_is_narrower_than_its_samples_can_show(rng) -> None:

@@ -15,6 +15,16 @@ PIXEL_LAYOUTS = ("lat_long", "lat_long_exr", "angular_probe", "cube_strip")
 """Names of the layouts that can be stated."""
 
 _STATE = f"state the layout ({', '.join(PIXEL_LAYOUTS)}) when registering the environment"
+_CUBE_FACES = (
+    ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+)
+"""The axes that point right and down in the faces +x -x +y -y +z -z of a cube strip."""
+
 _BLACK_RIM_SHARE = 0.9
 """Share of the pixels outside the disc that is black in a probe; the rest is a line of credits."""
 
@@ -131,17 +141,18 @@ def _cube_strip(height: int, width: int) -> Layout:
     size = width
 
     def pixel_of(directions: F64) -> I64:
-        magnitudes = np.abs(directions)
-        axis = np.argmax(magnitudes, axis=1)
-        rows = np.arange(len(directions))
-        along = directions[rows, axis]
-        x, y, z = (directions / np.abs(along)[:, None]).T
-        face = 2 * axis + (along < 0)
-        right = np.choose(face, [z, -z, x, x, -x, x])
-        down = np.choose(face, [-y, -y, -z, z, -y, -y])
-        column = _clamped((right + 1) * ((size - 1) / 2) + 0.5, size)
-        row = _clamped((down + 1) * ((size - 1) / 2) + 0.5, size)
-        return np.asarray((face * size + row) * size + column, dtype=np.int64)
+        axis = np.argmax(np.abs(directions), axis=1)
+        along = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
+        faces = 2 * axis + (along < 0)
+        pixels = np.empty(len(directions), dtype=np.int64)
+        for face, (right, down) in enumerate(_CUBE_FACES):
+            inside = np.flatnonzero(faces == face)
+            scale = (size - 1) / 2 / np.abs(along[inside])
+            offset = (size - 1) / 2 + 0.5
+            column = _clamped(directions[inside] @ np.array(right) * scale + offset, size)
+            row = _clamped(directions[inside] @ np.array(down) * scale + offset, size)
+            pixels[inside] = (face * size + row) * size + column
+        return pixels
 
     edges = 2 * node_edges(size) - 1
     # solid angle of the corner rectangle [0, a] x [0, b] on the plane at distance 1

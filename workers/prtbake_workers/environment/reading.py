@@ -139,7 +139,7 @@ def _to_lat_long(
         def lookup(directions: F64) -> F64:
             return flat[pixel_of(directions)].astype(np.float64)
 
-    supersample = 4 if width <= 1024 else 3
+    supersample = 4 if width <= 1024 else 2
     return resample(lookup, width // 2, width, supersample=supersample, rotation=rotation), True
 
 

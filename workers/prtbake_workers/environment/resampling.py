@@ -6,7 +6,6 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
-from prtbake_workers.environment.environment import directions_from_angles
 
 Lookup = Callable[[F64], F64]
 """Radiance (dirs, 3) of unit directions (dirs, 3)."""
@@ -98,11 +97,13 @@ def _places_in_texels(
     row, column = np.divmod(indices, width)
     azimuth = (column[:, None] + offsets) * (2 * np.pi / width) - np.pi
     top, bottom = cos_edges[row][:, None], cos_edges[row + 1][:, None]
-    shape = (len(indices), n, n)
-    return directions_from_angles(
-        np.broadcast_to(azimuth[:, None, :], shape).ravel(),
-        np.broadcast_to((top + (bottom - top) * offsets)[:, :, None], shape).ravel(),
-    )
+    cos_polar = top + (bottom - top) * offsets
+    horizontal = np.sqrt(np.maximum(0.0, 1.0 - cos_polar**2))[:, :, None]
+    places = np.empty((len(indices), n, n, 3))
+    places[..., 0] = horizontal * np.sin(azimuth)[:, None, :]
+    places[..., 1] = cos_polar[:, :, None]
+    places[..., 2] = -horizontal * np.cos(azimuth)[:, None, :]
+    return places.reshape(-1, 3)
 
 
 def _most_uneven(radiance: Float32[F32, "height width 3"], count: int) -> Int64[I64, " texels"]:

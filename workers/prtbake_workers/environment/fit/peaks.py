@@ -12,7 +12,8 @@ from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.environment.environment import LUMINANCE
 from prtbake_workers.environment.fit.cells import Cells, adaptive_cells, cell_of, clip_level
 from prtbake_workers.environment.fit.objective import Lobes, SquaredError, evaluate_lobes
-from prtbake_workers.environment.fit.refine import narrowest_bandwidths, refine
+from prtbake_workers.environment.fit.pursuit import with_best_lobe
+from prtbake_workers.environment.fit.refine import refine
 
 ENOUGH = 0.05
 """Residual power, as a share of all the light's, at which no more peak lobes are added."""
@@ -20,8 +21,6 @@ ENOUGH = 0.05
 _FACE_CELLS = 32
 _MAX_CELLS = 16000
 _SEARCH_RAD = np.radians(4.0)
-_MAX_CANDIDATES = 200
-_WIDENINGS = 4.0 ** -np.arange(6)
 _REFINE_EVERY = 6
 
 
@@ -50,7 +49,8 @@ def fit_peaks(peaks: Cells, total_power: float, n_most: int) -> Lobes:
     residual = cells.radiance
     for n in range(1, n_most + 1):
         power = cells.solid_angles * np.abs(residual).sum(axis=1)
-        lobes = _with_best_lobe(lobes, cells, residual, _worst(region, power))
+        worst = cells.directions[_worst(region, power)]
+        lobes = with_best_lobe(lobes, cells, residual, worst, _SEARCH_RAD)
         if n % _REFINE_EVERY == 0 or n < _REFINE_EVERY:
             lobes = refine(objective, lobes, free="both", max_steps=15)
         coefficients = objective.project(lobes).coefficients
@@ -72,27 +72,3 @@ def _worst(region: Int64[I64, " cells"], power: Float64[F64, " cells"]) -> int:
     """Give the cell with most residual power in the region that has most."""
     inside = np.flatnonzero(region == np.argmax(np.bincount(region, power)))
     return int(inside[np.argmax(power[inside])])
-
-
-def _with_best_lobe(
-    lobes: Lobes, cells: Cells, residual: Float64[F64, "cells 3"], worst: int
-) -> Lobes:
-    """Add the lobe near a cell that explains most of the squared residual there."""
-    near = np.flatnonzero(cells.directions @ cells.directions[worst] > np.cos(_SEARCH_RAD))
-    weights, around = cells.solid_angles[near], cells.directions[near]
-    wanted = weights[:, None] * residual[near]
-    order = np.argsort(np.abs(wanted).sum(axis=1), kind="stable")[::-1]
-    candidates = around[order[:_MAX_CANDIDATES]]
-    narrowest = narrowest_bandwidths(cells, candidates)
-    best_gain, best = -1.0, (candidates[0], narrowest[0])
-    for widening in _WIDENINGS:
-        bandwidths = narrowest * widening
-        kernel = evaluate_lobes(Lobes(candidates, bandwidths), around)
-        # (r, G)^2 / (G, G): what a lobe with its best coefficient takes off the squared error
-        gain = ((kernel.T @ wanted) ** 2).sum(axis=1) / (weights @ kernel**2)
-        i = int(np.argmax(gain))
-        if gain[i] > best_gain:
-            best_gain, best = float(gain[i]), (candidates[i], bandwidths[i])
-    return Lobes(
-        np.concatenate([lobes.centres, best[0][None]]), np.append(lobes.bandwidths, best[1])
-    )

@@ -16,14 +16,29 @@ from prtbake_workers.environment.fit.cells import (
     even_cells,
 )
 from prtbake_workers.environment.fit.guess import guess_lobes
-from prtbake_workers.environment.fit.objective import Lobes, SquaredError, solve_over
+from prtbake_workers.environment.fit.objective import (
+    Lobes,
+    SquaredError,
+    solve_over,
+    squared_error,
+)
 from prtbake_workers.environment.fit.peaks import fit_peaks, split_peaks
+from prtbake_workers.environment.fit.pursuit import reseed
 from prtbake_workers.environment.fit.refine import refine
 
 Progress = Callable[[float, str], None]
 
 PEAK_SHARE = 3
 """At most one lobe in so many goes to suns and lamps."""
+
+REGION_WEIGHT = 100.0
+"""Weight of the regions' means in the last coefficients where there are peaks.
+
+Beside a sun 1e5 times as bright as the sky, plain least squares uses lobes that span the sky to
+mend the shape of the sun.  Measured on a sun of one texel with 24 lobes: the sky 23 % off with weight 0,
+3 % with 100, the squared error 0.015 against 0.024; light smoothed as transfer sees it 2.5 %
+against 0.6 % off.  On a real sun with 162 lobes the squared error changes in the third digit.
+"""
 
 _ENOUGH_GAIN = 0.01
 """Relative gain of a round below which the rounds on one level end."""
@@ -79,9 +94,9 @@ def fit_scattered_srbf(
 
     Peaks (suns, lamps) are taken off and get lobes of their own, seeded at the largest residuals.
     The rest follows section 5.3: first guess by coverage and a priority queue; L-BFGS-B on the
-    centres, then on the bandwidths, in rounds; then finer cells with both free; the coefficients
-    are solved (RLS) at every evaluation.  A last pass moves all lobes on the whole light, and the
-    coefficients and the error are computed on the samples as they were given.
+    centres, then on the bandwidths, in rounds; the lobes that matter least seeded anew; then finer
+    cells with both free; the coefficients are solved (RLS) at every evaluation, and at the end with
+    the error on the samples as they were given.
 
     Parameters
     ----------
@@ -149,20 +164,17 @@ def _fit_stages(
     n_cells = _face_cells(n_base, 32)
     progress(0.2, "fine")
     lobes = _pass(even_cells(base, n_cells), lobes, steps, "fine", errors)
-    progress(0.45, "adaptive")
+    progress(0.4, "joint")
     cells = adaptive_cells(base, n_cells, 96 * n_base + 4096)
-    lobes = _pass(cells, lobes, max(1, steps // 2), "adaptive", errors)
-    progress(0.7, "joint")
-    lobes = Lobes(*(np.concatenate(parts) for parts in zip(lobes, peaks, strict=True)))
-    cells = adaptive_cells(texels, _face_cells(n_lobes, 32), 96 * n_lobes + 4096)
-    moved = _pass(cells, lobes, max(1, steps // 2), "joint", errors)
-    progress(0.85, "coefficients")
-    coefficients, error = solve_over(lobes, texels)
-    progress(0.95, "coefficients")
-    moved_coefficients, moved_error = solve_over(moved, texels)
-    # the pass saw merged texels: on a map of many lamps it can lose on the texels themselves
-    if moved_error < error:
-        lobes, coefficients, error = moved, moved_coefficients, moved_error
+    lobes = _pass(cells, lobes, steps, "joint", errors)
+    progress(0.8, "coefficients")
+    weight = 0.0
+    if len(peaks.bandwidths):
+        weight = REGION_WEIGHT
+        lobes = Lobes(*(np.concatenate(parts) for parts in zip(lobes, peaks, strict=True)))
+    coefficients = solve_over(lobes, texels, region_weight=weight)
+    progress(0.9, "coefficients")
+    error = squared_error(lobes, coefficients, texels)
     progress(1.0, "coefficients")
     return ScatteredFit(
         centres=lobes.centres,
@@ -186,7 +198,8 @@ def _rounds(cells: Cells, lobes: Lobes, max_rounds: int, errors: dict[str, float
         before, error = error, objective.project(lobes).error
         if before - error < _ENOUGH_GAIN * before:
             break
-    errors["coarse"] = error / cells.energy
+    lobes = reseed(objective, lobes)
+    errors["coarse"] = objective.project(lobes).error / cells.energy
     return lobes
 
 
