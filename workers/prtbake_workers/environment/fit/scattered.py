@@ -35,9 +35,9 @@ REGION_WEIGHT = 100.0
 """Weight of the regions' means in the last coefficients where there are peaks.
 
 Beside a sun 1e5 times as bright as the sky, plain least squares uses lobes that span the sky to
-mend the shape of the sun.  Measured on a sun of one texel with 24 lobes: the sky 23 % off with weight 0,
-3 % with 100, the squared error 0.015 against 0.024; light smoothed as transfer sees it 2.5 %
-against 0.6 % off.  On a real sun with 162 lobes the squared error changes in the third digit.
+mend the shape of the sun.  Measured on a sun of one texel with 24 lobes: the sky 23 % off with
+weight 0 and 3 % with 100, light smoothed as transfer sees it 2.5 % and 0.6 % off, the squared error
+0.015 and 0.024.  On a real sun with 162 lobes the squared error changes in the third digit.
 """
 
 _ENOUGH_GAIN = 0.01
