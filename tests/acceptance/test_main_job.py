@@ -86,7 +86,7 @@ def test_the_asset_relights(glossy: Path) -> None:
     """The decoder's colours against the transfer file's own product with the light."""
     asset = Asset.open(glossy / "asset.h5")
     light = read_light(glossy / "light.h5")
-    rotation = (90.0, 0.0, 0.0)
+    rotation = (180.0, 0.0, 0.0)
     diffuse = asset.data.parts[1]
     with open_transfer(glossy / "transfer.h5") as transfer:
         matrix = transfer.read(1).astype(np.float64)[:, 0]
@@ -100,7 +100,7 @@ def test_the_asset_relights(glossy: Path) -> None:
         # the compression of this tiny plane keeps 8 components: some percent
         assert difference(decoded[:, 0], radiance) < 0.1
     # the wrong light would not do
-    assert difference(expected[rotation], expected[0.0, 0.0, 0.0]) > 0.2
+    assert difference(expected[rotation], expected[0.0, 0.0, 0.0]) > 0.5
     eye = asset.positions.mean(axis=0) + np.array([0.0, 3.0, 6.0])
     colours = asset.vertex_radiance(eye, light)
     assert np.isfinite(colours).all()

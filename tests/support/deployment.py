@@ -26,11 +26,10 @@ PATIENCE_S = 240.0
 """Deadline of what must happen at all: a job takes 15 s on a quiet machine."""
 EAGER = {
     "PRTBAKE_HEARTBEAT_S": "0.5",
-    "PRTBAKE_DEAD_AFTER_S": "8",
     "PRTBAKE_RECONCILE_S": "1",
     "PRTBAKE_RECONCILE_EVERY": "PT1S",
 }
-"""Settings under which a loss is noticed soon; what is done about it stays the same."""
+"""Settings under which a loss that the supervisor saw is acted on soon; silence counts as ever."""
 
 
 class Installation:
