@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from prtbake_storage.contract.settings import Effects
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -55,6 +56,53 @@ def test_a_dent_calls_for_self_shadowing_and_says_what_it_would_cost():
     assert decision.taken
     assert decision.predicted_error_otherwise > 0.001
     assert decision.evidence["blocked_share"] > 0.0
+
+
+def extruded(outline):
+    """A closed prism over a polygon given counter-clockwise from above, in the plane y = 0."""
+    path = trimesh.creation.extrude_triangulation(
+        np.asarray(outline[0], float), np.asarray(outline[1]), 1.0
+    )
+    positions, faces = np.asarray(path.vertices), np.asarray(path.faces, np.int32)
+    return Mesh(positions, faces, vertex_normals(positions, faces), None)
+
+
+L_SHAPE = (
+    [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]],
+    [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]],
+)
+
+
+def two_cubes():
+    cube = trimesh.creation.box()
+    far = cube.copy()
+    far.apply_translation([3.0, 0.0, 0.0])
+    both = trimesh.util.concatenate([cube, far])
+    positions, faces = np.asarray(both.vertices), np.asarray(both.faces, np.int32)
+    return Mesh(positions, faces, vertex_normals(positions, faces), None)
+
+
+@pytest.mark.parametrize("mesh", [extruded(L_SHAPE), two_cubes()], ids=["L", "two cubes"])
+def test_vertices_on_the_hull_do_not_make_a_mesh_convex(mesh):
+    """Every vertex of an L, and of two cubes, lies on the convex hull; both shadow themselves."""
+    assert convexity_defect(mesh) > 0.1
+    by_name, _, _ = decisions([mesh], watertight=True)
+    assert by_name["self_shadowing"].taken
+
+
+def test_a_small_object_on_a_wide_plane_keeps_its_shadows():
+    """Probes from the plane may all miss the object, yet the plane takes half of its light."""
+    ball = sphere_mesh(3)
+    plane = receiver_plane(ball.bounds, resolution=64, extent=100.0, gap=0.0)
+    for seed in range(4):
+        scene = Scene.from_parts([ball, plane])
+        found = decide_effects(
+            [ball, plane], scene, Accelerator(scene.positions, scene.faces), part_terms=[1, 1],
+            watertight=True, requested=Effects(), seed=seed,
+        )  # fmt: skip
+        decision = next(d for d in found if d.effect == "receiver_shadows")
+        assert decision.taken
+        assert decision.predicted_error_otherwise > 0.3
 
 
 def test_an_open_mesh_is_never_called_convex():

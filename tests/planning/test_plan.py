@@ -33,7 +33,7 @@ def test_tiles_cover_every_vertex_once_in_whole_chunks(tile):
 
 def test_clustered_pca_refuses_more_than_one_term():
     settings = resolve_stages("medium", AssetSettings(compress={"method": "cpca"}))
-    with pytest.raises(SettingsError, match="one term, object has 4") as caught:
+    with pytest.raises(SettingsError, match="one term, this part has 4") as caught:
         plan_of(settings, 4)
     assert caught.value.pointer == "/settings/compress/method"
 

@@ -78,8 +78,8 @@ def test_the_budget_closes(store, assets, lights, mesh, light):
         )
         budget = view.budget
         assert view.n_hits > 500
-        assert budget.reference_noise < 0.1
-        # the subtraction of noise estimates can push a bound by about the noise itself
-        slack = 2.0 * budget.total_noise
+        # subtracting estimated noise can move a bound by about that noise, so it must be small
+        slack = budget.total_noise
+        assert slack < 0.25 * budget.total
         assert budget.total <= budget.sum_of_lines + slack
         assert budget.total + slack >= budget.sum_of_lines / 3

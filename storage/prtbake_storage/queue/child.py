@@ -24,6 +24,9 @@ _log = logging.getLogger(__name__)
 STDERR_LINES = 20
 """Last lines of a dead task's stderr that go into its error."""
 
+_SECRETS = frozenset({"PRTBAKE_DATABASE_URL", "PRTBAKE_API_KEY"})
+"""A task reads files from outside; neither the database nor the API is its business."""
+
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -124,8 +127,8 @@ def run_task_in_child(
 
 
 def child_environment(threads: int, scratch: Path) -> dict[str, str]:
-    """Environment of a task: its threads, its temporary folder, and a fixed hash seed."""
-    environment = dict(os.environ)
+    """Environment of a task: threads, temporary folder, a fixed hash seed, and no secrets."""
+    environment = {name: value for name, value in os.environ.items() if name not in _SECRETS}
     environment |= {name: str(threads) for name in _THREAD_VARIABLES}
     environment |= {"TMPDIR": str(scratch), "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"}
     return environment

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 from prtbake_storage.blobs.base import canonical_json
 
-CODE_VERSION = "1"
+CODE_VERSION = "2"
 """Part of every task's name: raise it when the same arguments give other results than before."""
 
 

@@ -32,6 +32,8 @@ from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.quantise import quantise_transfer
 
 _MODULE = "prtbake_workers.jobs.bake"
+PLAN_MEMORY_BYTES = 12 << 30
+PLAN_CPU_SECONDS = 900
 
 
 def stages(
@@ -51,7 +53,16 @@ def stages(
     }
 
     def plan(_: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:plan", plan_args, label="plan")]
+        return [
+            Task(
+                f"{_MODULE}:plan",
+                plan_args,
+                label="plan",
+                # it decodes the albedo texture, which came from outside
+                memory_bytes=PLAN_MEMORY_BYTES,
+                cpu_seconds=PLAN_CPU_SECONDS,
+            )
+        ]
 
     def tiles(results: Results) -> list[Task]:
         (planned,) = results["plan"]
@@ -178,6 +189,7 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
         },
         "condition": planned.basis().condition,
+        "settings": args["settings"],
     }
 
 

@@ -7,7 +7,7 @@ from prtbake_storage.decode.asset import LightFit
 from prtbake_storage.hdf5.resources import write_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.environment.fit import fit_scattered_srbf
+from prtbake_workers.environment.fit import fit_environment
 from prtbake_workers.jobs.inputs import load_environment, versions
 
 _MODULE = "prtbake_workers.jobs.fit_light"
@@ -18,7 +18,7 @@ def stages(environment: str, settings: FitLightSettings, seed: int) -> list[Stag
     args = {"environment": environment, "settings": settings.model_dump(mode="json"), "seed": seed}
 
     def fit(_: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:fit", args, label="fit", threads=2)]
+        return [Task(f"{_MODULE}:fit", args, label="fit")]
 
     return [Stage("fit_light", "fit", 10.0, fit)]
 
@@ -27,10 +27,8 @@ def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``light.h5``."""
     settings = FitLightSettings.model_validate(args["settings"])
     environment = load_environment(context.store, args["environment"])
-    result = fit_scattered_srbf(
-        environment.radiance.reshape(-1, 3),
-        environment.directions(),
-        environment.solid_angles(),
+    result = fit_environment(
+        environment,
         settings.n_lobes,
         seed=args["seed"],
         max_iterations=settings.max_iterations,
@@ -51,5 +49,7 @@ def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bytes": size,
         "lobes": len(result.centres),
         "negative_lobes": int((result.coefficients < 0).any(axis=1).sum()),
+        "peak_lobes": int(result.n_peak_lobes),
+        "power_ratio": float(result.power_ratio),
         "errors": {"light": float(result.error)},
     }

@@ -48,12 +48,27 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "views": [view for camera in results.get("validate", []) for view in camera["views"]],
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
+        "numerics": _numerics(results),
+        "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
         "sizes": {
             f"{name}.h5": results[stage][0]["bytes"]
             for stage, name in (("join", "transfer"), ("quantise", "asset"), ("fit_light", "light"))
             if stage in results
         },
     }  # fmt: skip
+
+
+def _numerics(results: Results) -> dict[str, Any]:
+    """Collect what says how well conditioned the job was."""
+    numerics: dict[str, Any] = {}
+    if "plan" in results and "condition" in results["plan"][0]:
+        numerics["gram_condition"] = results["plan"][0]["condition"]
+    if "bake" in results:
+        numerics["ray_offset"] = max(tile["epsilon"] for tile in results["bake"])
+    if "fit_light" in results:
+        (light,) = results["fit_light"]
+        numerics |= {name: light[name] for name in ("lobes", "negative_lobes", "power_ratio")}
+    return numerics
 
 
 def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> dict[str, Any]:
@@ -96,6 +111,8 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         sizes=args["sizes"],
         renderer=args["renderer"],
         counters=counters,
+        numerics=args["numerics"],
+        settings=args["settings"],
         notes=notes,
     )
     pictures = {
@@ -152,5 +169,5 @@ def summary(results: Results) -> dict[str, Any]:
     (written,) = results["report"]
     report = written["report"]
     names = ("summary", "errors", "budget", "bytes", "seconds", "effects", "metrics", "parts",
-             "peak_memory_bytes", "renderer", "notes")  # fmt: skip
+             "peak_memory_bytes", "renderer", "numerics", "counters", "notes")  # fmt: skip
     return {name: report[name] for name in names}

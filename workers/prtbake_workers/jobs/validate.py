@@ -9,6 +9,7 @@ import numpy as np
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_storage.errors import InputError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
@@ -111,6 +112,7 @@ def _report(name: str, view: ValidatedView, store: BlobStore) -> dict[str, Any]:
 def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     """Load everything that a chain needs, from the artefacts alone."""
     path = store.local_path(args["transfer"])
+    _check_kinship(args, store)
     with open_transfer(path) as transfer:
         header = transfer.header
     scene = scene_of(header)
@@ -136,6 +138,21 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         environment=load_environment(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),
     )
+
+
+def _check_kinship(args: dict[str, Any], store: BlobStore) -> None:
+    """Refuse artefacts that do not belong together: their budget would look right and be wrong."""
+    for name in ("asset", "exact"):
+        source = read_asset(store.local_path(args[name])).provenance.get("transfer")
+        if source != args["transfer"]:
+            raise InputError(
+                f"the asset was compressed from another transfer ({source})", pointer=f"/{name}"
+            )
+    fitted = read_light(store.local_path(args["light"])).provenance.get("environment")
+    if fitted != args["environment"]:
+        raise InputError(
+            f"the light was fitted to another environment ({fitted})", pointer="/light"
+        )
 
 
 def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:

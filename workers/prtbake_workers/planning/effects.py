@@ -1,8 +1,9 @@
 """Which effects a scene calls for, and why.
 
 Every decision carries its reason, the evidence it rests on, and the error predicted if it were
-the other way: the share of squared cosine-weighted visibility energy that the effect changes,
-estimated from a sparse probe of rays.
+the other way: the share of squared cosine-weighted visibility that the effect changes, estimated
+from a sparse probe of rays.  That is the squared-error ratio of a diffuse surface, and stands in
+for that of a glossy one.
 """
 
 from dataclasses import asdict, dataclass
@@ -15,13 +16,14 @@ from prtbake_storage.contract.settings import Effects, Switch
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
 from prtbake_workers.geometry.frames import tangent_frames
-from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
 from prtbake_workers.geometry.scene import Scene
 
 PROBE_VERTICES = 512
 PROBE_RAYS = 64
+FACES_A_BLOCK = 1024
 CONVEX_TOLERANCE = 1e-6
-"""Depth below the convex hull, in diagonals, that still counts as on it (float32 positions)."""
+"""Height above a face's plane, in diagonals, that still counts as in it (float32 positions)."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +46,27 @@ class Decision:
 
 
 def convexity_defect(mesh: Mesh) -> float:
-    """Deepest vertex below the convex hull, in bounding-box diagonals; inf where no hull exists."""
+    """Measure how far a mesh rises above the planes of its own faces, in bounding-box diagonals.
+
+    A closed surface is convex exactly where no vertex lies in front of any face; pieces apart from
+    each other fail that as dents do.  The farthest vertex along a face's normal is a vertex of the
+    convex hull, so only those are tried.
+    """
+    area_vectors = face_area_vectors(mesh.positions, mesh.faces)
+    lengths = np.linalg.norm(area_vectors, axis=1)
+    normals = area_vectors[lengths > 0.0] / lengths[lengths > 0.0, None]
+    anchors = mesh.positions[mesh.faces[lengths > 0.0, 0]]
     try:
-        hull = ConvexHull(mesh.positions)
+        corners = mesh.positions[ConvexHull(mesh.positions).vertices]
     except (QhullError, ValueError):
         return float("inf")
-    equations = np.unique(np.round(hull.equations, 12), axis=0)
-    deepest = 0.0
-    for block in np.array_split(mesh.positions, max(1, mesh.n_vertices // 512)):
-        distance = block @ equations[:, :3].T + equations[:, 3]
-        deepest = max(deepest, float((-distance.max(axis=1)).max(initial=0.0)))
-    return deepest / mesh.diagonal
+    highest = 0.0
+    for start in range(0, len(normals), FACES_A_BLOCK):
+        block = slice(start, start + FACES_A_BLOCK)
+        reach = (normals[block] @ corners.T).max(axis=1)
+        height = reach - (normals[block] * anchors[block]).sum(axis=1)
+        highest = max(highest, float(height.max()))
+    return highest / mesh.diagonal
 
 
 def probe_occlusion(
@@ -151,9 +163,9 @@ def _self_shadowing(
     mesh: Mesh, scene: Scene, watertight: bool, switch: Switch, seed: int
 ) -> Decision:
     defect = convexity_defect(mesh)
-    convex = watertight and defect <= CONVEX_TOLERANCE
     own = Accelerator(mesh.positions, mesh.faces)
     ratio, share, rays = probe_occlusion(scene, own, scene.part_ranges[0], seed=seed)
+    convex = watertight and defect <= CONVEX_TOLERANCE and share == 0.0
     taken, forced = _settle(switch, not convex)
     reason = (
         "a closed convex mesh cannot shadow itself: no ray is needed"
@@ -178,18 +190,30 @@ def _self_shadowing(
 def _receiver_shadows(
     scene: Scene, accelerator: Accelerator, switch: Switch, seed: int
 ) -> Decision:
+    """Decide on the light that object and receiver take from each other, both ways."""
     if len(scene.part_ranges) < 2:
         return Decision("receiver_shadows", False, switch != "auto", "there is no receiver", {})
     ratio, share, rays = probe_occlusion(scene, accelerator, scene.part_ranges[1], seed=seed + 1)
-    taken, forced = _settle(switch, share > 0.0)
-    reason = f"{100 * share:.1f} % of the probe rays from the receiver are blocked"
+    plane = Accelerator(scene.positions, scene.faces[scene.part_of_face == 1])
+    below, from_object, more = probe_occlusion(scene, plane, scene.part_ranges[0], seed=seed + 2)
+    # a sparse probe can miss a small object on a wide plane: that a ray is blocked settles it,
+    # that none is does not, so a receiver always gets its shadows unless forced off
+    taken, forced = _settle(switch, True)
+    reason = (
+        f"{100 * share:.1f} % of the probe rays from the receiver are blocked, and the receiver "
+        f"blocks {100 * from_object:.1f} % of the object's"
+    )
     return Decision(
         effect="receiver_shadows",
         taken=taken,
         forced=forced,
         reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
-        evidence={"probe_rays": rays, "blocked_share": share},
-        predicted_error_otherwise=ratio,
+        evidence={
+            "probe_rays": rays + more,
+            "blocked_share": share,
+            "object_blocked_share": from_object,
+        },
+        predicted_error_otherwise=max(ratio, below),
     )
 
 

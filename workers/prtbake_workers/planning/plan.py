@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from prtbake_storage.contract.settings import Quality
-from prtbake_storage.errors import SettingsError
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
@@ -78,11 +77,6 @@ def make_plan(
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
         start, stop = scene.part_ranges[index]
         occluders = occluders_of(index, len(names), effects)
-        if settings.compress.method == "cpca" and n_terms > 1:
-            raise SettingsError(
-                f"clustered PCA takes one term, {name} has {n_terms}: use cta",
-                pointer="/settings/compress/method",
-            )
         compression = resolve_compression(
             settings.compress,
             quality,

@@ -17,6 +17,7 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
+from prtbake_storage.errors import SettingsError
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,19 @@ def resolve_compression(
 
     One term means clustered PCA, more mean clustered tensor approximation ([Tsai2006] 5.2).
     Ranks and cluster counts are cut to what the data can hold.
+
+    Raises
+    ------
+    SettingsError
+        Clustered PCA is asked for and the part has more than one term.
     """
     step = LADDER[quality]
     method = settings.method if settings.method != "auto" else ("cpca" if n_terms == 1 else "cta")
+    if method == "cpca" and n_terms > 1:
+        raise SettingsError(
+            f"clustered PCA takes one term, this part has {n_terms}: use cta",
+            pointer="/settings/compress/method",
+        )
     n_clusters = settings.n_clusters or max(1, round(n_verts / step.verts_per_cluster))
     view, light, vert = settings.ranks or step.ranks
     return PartCompression(

@@ -118,7 +118,14 @@ def flip(
     elif np.array_equal(a, b):
         errors = np.zeros(mask.shape, np.float32)
     else:
-        found, _, _ = flip_evaluator.evaluate(b, a, "HDR", applyMagma=False, computeMeanError=False)
+        found, _, _ = flip_evaluator.evaluate(
+            b,
+            a,
+            "HDR",
+            applyMagma=False,
+            computeMeanError=False,
+            parameters=_exposures(b[mask]),
+        )
         errors = np.asarray(found, np.float32).reshape(mask.shape)
     return (float(errors[mask].mean(dtype=np.float64)) if mask.any() else 0.0), errors
 

@@ -90,6 +90,7 @@ def make_report(
     sizes: Mapping[str, int] | None = None,
     renderer: Mapping[str, Any] | None = None,
     counters: Mapping[str, int | float] | None = None,
+    numerics: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""
@@ -120,6 +121,7 @@ def make_report(
         "metrics": [{"picture": view["picture"], **view["metrics"]} for view in views],
         "renderer": dict(renderer) if renderer else None,
         "counters": dict(counters or {}),
+        "numerics": dict(numerics or {}),
         "settings": dict(settings or {}),
         "notes": list(notes),
     }

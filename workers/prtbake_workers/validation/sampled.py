@@ -21,7 +21,7 @@ def sampled_terms(
     """Contract the transfer sampled in the bake's own directions with columns of light.
 
     This is the bake's left side done again, plainly: psi V cos at the texel centres, V the share
-    of the supersamples that escape.
+    of the supersamples above the horizon that escape.
     """
     own, scene = validation.parts[part], validation.scene
     directions = validation.directions
@@ -34,10 +34,11 @@ def sampled_terms(
         own_points = points.block(block)
         cosine = np.maximum(own_points.normals @ directions.directions.T, 0.0)
         if own.occluders is not None:
-            free = np.zeros_like(cosine)
+            free, risen = np.zeros_like(cosine), np.zeros_like(cosine)
             for sample in rays:
+                risen += own_points.normals @ sample.T > 0.0
                 free += visible_cosine(own_points, sample, own.occluders, epsilon) > 0.0
-            cosine *= free / len(rays)
+            cosine *= free / np.maximum(risen, 1.0)
         wi = to_local(scene.frames[vertices[block]], directions.directions)
         psi = own.factorisation.eval_psi(wi.reshape(-1, 3)).reshape(*wi.shape[:2], -1)
         result[block] = (psi * cosine[..., None]).transpose(0, 2, 1) @ columns
