@@ -38,7 +38,7 @@ ladder: setup gl ## What accuracy costs: draft, medium and high beside each othe
 	$(BIN)/prtbake demo --ladder --to demo-output
 
 test: setup gl ## All tests that need nothing but the repository
-	$(PYTEST) -q -n 2 --dist loadfile -m "not acceptance and not real_data"
+	OPENBLAS_NUM_THREADS=1 $(PYTEST) -q -n 2 --dist loadfile -m "not acceptance and not real_data"
 	$(PYTEST) -q -m "acceptance and not real_data"
 
 check: setup ## Format, lint, types, layers
