@@ -30,7 +30,9 @@ def serve(
     """Serve until Ctrl-C or SIGTERM; then everything is stopped in order."""
     folder = home(data_dir or target_of(context).data_dir)
     # from here on SIGTERM unwinds like Ctrl-C, so that the processes are stopped
-    signal.signal(signal.SIGTERM, raise_interrupt)
+    # SIGINT too: a shell script starts its background processes with it ignored
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, raise_interrupt)
     out = messages()
     with reporting():
         try:
