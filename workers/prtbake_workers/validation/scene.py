@@ -57,6 +57,3 @@ class ValidationScene:
         first = self.scene.faces[triangles, 0]
         starts = np.array([start for start, _ in self.scene.part_ranges])
         return np.asarray(np.searchsorted(starts, first, side="right") - 1, dtype=np.int64)
-
-
-Rotation = Float64[F64, "3 3"]
