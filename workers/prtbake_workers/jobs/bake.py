@@ -127,7 +127,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         meshes,
         scene,
         Accelerator(scene.positions, scene.faces),
-        part_terms=part_terms,
+        factorisations=factorisations,
         watertight=bool(report.get("watertight", False)),
         requested=Effects.model_validate(args["effects"]),
         seed=args["seed"],
