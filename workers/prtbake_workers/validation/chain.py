@@ -37,6 +37,8 @@ LINES = (
     "compression",
     "16-bit factors",
 )
+MERGED_LINES = (*LINES[:-2], "compression and 16-bit factors")
+"""Where the asset before its quantisation is not at hand."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,12 @@ def validate_camera(
         chain += [
             asset_picture(asset, fitted, hits)[None]
             for asset in (validation.exact, validation.delivered)
+            if asset is not None
         ]
         advance()
+        names = MERGED_LINES if validation.exact is None else LINES
         pictures = tuple(
-            ChainPicture(name, passes) for name, passes in zip(LINES, chain, strict=True)
+            ChainPicture(name, passes) for name, passes in zip(names, chain, strict=True)
         )
         views.append(
             ValidatedView(
