@@ -51,8 +51,7 @@ def stages(
     settings: ValidateSettings,
     seed: int,
 ) -> list[Stage]:
-    """One task a camera; ``inputs_of`` gives the digests of transfer, asset, light and,
-    where it is at hand, exact: the asset before its quantisation."""
+    """One task a camera; ``inputs_of`` gives digests: transfer, asset, light and maybe exact."""
     dumped = settings.model_dump(mode="json")
 
     def cameras(results: Results) -> list[Task]:

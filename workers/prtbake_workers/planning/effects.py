@@ -110,7 +110,8 @@ def _by_area(
     if not cumulative[-1] > 0.0:
         return np.arange(count)
     at = (np.arange(count) + rng.random()) / count * cumulative[-1]
-    return np.minimum(np.searchsorted(cumulative, at, side="right"), len(areas) - 1)
+    found = np.searchsorted(cumulative, at, side="right")
+    return np.asarray(np.minimum(found, len(areas) - 1), np.int64)
 
 
 def _cosine_directions(
