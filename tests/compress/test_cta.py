@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from tensorly.decomposition import partial_tucker
+from threadpoolctl import threadpool_limits
 
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 
@@ -133,3 +134,16 @@ def test_progress_rises_to_one(glossy):
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
     assert "error" in seen[-1][1]
+
+
+@pytest.mark.parametrize("n_clusters", [1, 6])
+def test_threads_change_no_byte(glossy, n_clusters):
+    """With fewer clusters than threads as well, where a product alone could be spread."""
+    models = []
+    for threads in (1, 2, 3):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            models.append(compress_cta(glossy, n_clusters, RANKS, seed=1))
+    for other in models[1:]:
+        for name in ("view_basis", "light_bases", "dual_bases", "weights", "labels"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(models[0], name))
+        assert other.objective == models[0].objective

@@ -19,7 +19,7 @@ import numpy as np
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
 from prtbake_workers.compress.clusters import members_by_cluster
-from prtbake_workers.compress.parallel import map_clusters
+from prtbake_workers.compress.parallel import map_in_order
 
 View = Float32[F32, "verts r_view coeffs"]
 # Relative rounding of the float32 bound: two products and a sum of squares, 1e-6 at the worst.
@@ -58,7 +58,7 @@ def reclassify(
         errors[movers] = residuals[better]
         return len(movers)
 
-    return sum(map_clusters(confirm, range(len(factors))))
+    return sum(map_in_order(confirm, range(len(factors))))
 
 
 def propose_clusters(
@@ -74,7 +74,6 @@ def propose_clusters(
     bases = stacked_bases(factors, z.shape[1])
     n_clusters, r_vert, _ = bases.shape
     stacked = bases.reshape(n_clusters * r_vert, -1)
-    overlaps = (stacked @ stacked.T).reshape(n_clusters, r_vert, n_clusters * r_vert)
     members = members_by_cluster(labels, n_clusters)
     rows = z.reshape(len(z), -1)
     proposed = labels.copy()
@@ -84,7 +83,8 @@ def propose_clusters(
         part = rows[verts]
         own = part @ bases[cluster].T
         captured = _energy(own[:, None])
-        reach = _energy((own @ overlaps[cluster]).reshape(len(verts), n_clusters, r_vert))
+        overlaps = bases[cluster] @ stacked.T
+        reach = _energy((own @ overlaps).reshape(len(verts), n_clusters, r_vert))
         bound = (np.sqrt(reach) + np.sqrt(errors[verts, None])) ** 2
         possible = bound * (1.0 + BOUND_SLACK) > captured
         possible[:, cluster] = False
@@ -102,7 +102,7 @@ def propose_clusters(
                 best_captured[better] = score[better]
             proposed[verts[block]] = best
 
-    map_clusters(propose, range(n_clusters))
+    map_in_order(propose, range(n_clusters))
     return proposed
 
 

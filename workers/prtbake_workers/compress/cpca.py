@@ -24,7 +24,7 @@ from prtbake_workers.compress.inputs import (
 )
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
-from prtbake_workers.compress.parallel import map_clusters
+from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 
 METHODS = ("static",)
 
@@ -93,6 +93,20 @@ def compress_cpca(
     )
     checked_count(max_iterations, "max_iterations")
 
+    with same_bytes_on_any_threads():
+        return _fit(x, weights, n_clusters, n_components, seed, max_iterations, notes)
+
+
+def _fit(
+    x: Float32[F32, "verts dims"],
+    weights: Float64[F64, " verts"],
+    n_clusters: int,
+    n_components: int,
+    seed: int,
+    max_iterations: int,
+    notes: list[str],
+) -> CpcaModel:
+    """Cluster, then fit a PCA in each cluster."""
     clusters = lbg(
         x,
         n_clusters,
@@ -157,5 +171,5 @@ def _fit_components(
         ranks[cluster] = rank
         errors[members] = row_energy(centred - projected @ basis)
 
-    map_clusters(fit, range(len(means)))
+    map_in_order(fit, range(len(means)))
     return components, coefficients, ranks, errors

@@ -36,7 +36,7 @@ from prtbake_workers.compress.inputs import (
 )
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
-from prtbake_workers.compress.parallel import map_clusters
+from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
     project_view,
@@ -92,7 +92,7 @@ def compress_cta(
     Returns
     -------
     CtaModel
-        Clusters may be fewer than asked for where the tensor has too few distinct vertices, and
+        The same bytes on any number of threads.  Clusters may be fewer than asked for where the tensor has too few distinct vertices, and
         each has its true ranks; ``notes`` says so.
 
     Raises
@@ -120,9 +120,10 @@ def compress_cta(
     ranks = _fitting_ranks(CtaRanks(*ranks), t, notes)
     checked_count(max_iterations, "max_iterations")
 
-    fit = _Fit(t, weights, ranks, n_clusters, np.random.default_rng(seed), max_iterations)
-    fit.run(progress or _no_progress)
-    return fit.model(seed, notes)
+    with same_bytes_on_any_threads():
+        fit = _Fit(t, weights, ranks, n_clusters, np.random.default_rng(seed), max_iterations)
+        fit.run(progress or _no_progress)
+        return fit.model(seed, notes)
 
 
 def _no_progress(fraction: float, state: str) -> None:
@@ -226,7 +227,7 @@ class _Fit:
             )
             return factors
 
-        self.factors = map_clusters(fit, range(self.n_clusters))
+        self.factors = map_in_order(fit, range(self.n_clusters))
         self._record()
 
     def _fit_all_modes(self) -> None:
@@ -249,12 +250,12 @@ class _Fit:
             self.errors[verts] = squared_residuals(z, factors, projected)
             return factors
 
-        vertex_bases = map_clusters(basis, range(self.n_clusters))
+        vertex_bases = map_in_order(basis, range(self.n_clusters))
         self.view_basis = updated_view_basis(
             self.transfer, members, vertex_bases, self.factors, self.root_weights, self.ranks.view
         )
         self.view_errors = project_view(self.transfer, self.view_basis, self.z)
-        self.factors = map_clusters(fit, range(self.n_clusters))
+        self.factors = map_in_order(fit, range(self.n_clusters))
         self._record()
 
     def _record(self) -> None:

@@ -18,6 +18,7 @@ from prtbake_workers.compress.clusters import (
 )
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.parallel import map_in_order
 
 # Seeds are drawn from this many vertices a cluster: enough to meet every region of the signal,
 # and few enough that seeding costs less than one iteration.
@@ -144,8 +145,8 @@ def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
     centred = state.means - offset
     # |x - m|^2 = |x - o|^2 - 2 (x - o).(m - o) + |m - o|^2: the first term is the vertex's own.
     constant = row_energy(centred) + 2.0 * (centred.astype(np.float64) @ offset)
-    n_moved = 0
-    for chunk in row_chunks(signal):
+
+    def move(chunk: slice) -> int:
         rows = signal[chunk]
         proposed = np.argmin(constant - 2.0 * (rows @ centred.T), axis=1).astype(np.int32)
         labels, best = state.labels[chunk], state.squared_distances[chunk]
@@ -155,19 +156,25 @@ def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
         movers, distance = movers[nearer], distance[nearer]
         labels[movers] = proposed[movers]
         best[movers] = distance
-        n_moved += len(movers)
-    return n_moved
+        return len(movers)
+
+    return sum(map_in_order(move, row_chunks(signal)))
 
 
 def _update_means(
     signal: Float32[F32, "verts dims"], state: _Clustering, weights: Float64[F64, " verts"]
 ) -> None:
     """Set every mean to that of its members, and the distances to match."""
-    for cluster, members in enumerate(members_by_cluster(state.labels, len(state.means))):
+    members_of = members_by_cluster(state.labels, len(state.means))
+
+    def update(cluster: int) -> None:
+        members = members_of[cluster]
         if len(members) == 0:
             state.means[cluster] = 0.0
-            continue
+            return
         rows = signal[members]
         mean = weighted_mean(rows, weights[members])
         state.means[cluster] = mean
         state.squared_distances[members] = row_energy(rows - mean)
+
+    map_in_order(update, range(len(members_of)))

@@ -1,18 +1,22 @@
-"""The same work for many clusters, on as many threads as the BLAS library would have used.
+"""Work cut up among threads so that its result does not depend on how many there are.
 
-A cluster's products are too small to be worth cutting up: one cluster a thread, each with a
-single-threaded BLAS, is faster, does not collapse when other programs use the machine, and gives
-the same bytes for any number of threads.
+One thread or two changes the last bits of a matrix product, and BLAS takes what the machine lets it
+have.  So a compression keeps BLAS on one thread and spreads whole clusters, or whole pieces of the
+data, over as many threads as BLAS would have used: faster on small products, no worse on large
+ones, and the same bytes on any machine of one kind.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_THREADS: ContextVar[int] = ContextVar("threads", default=1)
 
 
 def blas_threads() -> int:
@@ -21,14 +25,22 @@ def blas_threads() -> int:
     return max(pools, default=1)
 
 
-def map_clusters(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+@contextmanager
+def same_bytes_on_any_threads() -> Iterator[None]:
+    """Keep BLAS on one thread, and let `map_in_order` use those that it had."""
+    token = _THREADS.set(max(blas_threads(), _THREADS.get()))
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    finally:
+        _THREADS.reset(token)
+
+
+def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Return ``work`` of each item, in the items' order."""
     items = list(items)
-    n_threads = blas_threads()
-    if len(items) < n_threads:
+    n_threads = min(_THREADS.get(), len(items))
+    if n_threads <= 1:
         return [work(item) for item in items]
-    with (
-        threadpool_limits(limits=1, user_api="blas"),
-        ThreadPoolExecutor(n_threads) as pool,
-    ):
+    with ThreadPoolExecutor(n_threads) as pool:
         return list(pool.map(work, items))

@@ -8,6 +8,7 @@ from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
 from prtbake_workers.compress.cluster_factors import ClusterFactors
 from prtbake_workers.compress.energy import row_chunks, row_energy
 from prtbake_workers.compress.gram_eigh import leading_eigenvectors
+from prtbake_workers.compress.parallel import map_in_order
 
 Transfer = Float32[F32, "verts terms coeffs"]
 
@@ -17,11 +18,15 @@ def initial_view_basis(
 ) -> Float32[F32, "terms r_view"]:
     """Return the leading left singular vectors of the mode-1 unfolding ([Tsai2006]_ 5.2.2)."""
     n_terms = transfer.shape[1]
-    gram = np.zeros((n_terms, n_terms))
-    for chunk in row_chunks(transfer.reshape(len(transfer), -1)):
+
+    def gram_of(chunk: slice) -> F64:
         part = transfer[chunk]
         per_vertex = (part @ part.transpose(0, 2, 1)).reshape(len(part), -1)
-        gram += (weights[chunk] @ per_vertex.astype(np.float64)).reshape(n_terms, n_terms)
+        weighted = weights[chunk] @ per_vertex.astype(np.float64)
+        return np.asarray(weighted.reshape(n_terms, n_terms))
+
+    chunks = row_chunks(transfer.reshape(len(transfer), -1))
+    gram = sum(map_in_order(gram_of, chunks), np.zeros((n_terms, n_terms)))
     return leading_eigenvectors(gram, rank)[1].astype(np.float32)
 
 
@@ -38,17 +43,20 @@ def updated_view_basis(
     The Gram matrix of uf_1(Z_light,vert) is summed over clusters in float64.
     """
     n_terms, n_coeffs = transfer.shape[1:]
-    gram = np.zeros((n_terms, n_terms))
-    for verts, u_vert, cluster in zip(members, vertex_bases, factors, strict=True):
+
+    def gram_of(index: int) -> F64:
+        verts, u_vert, cluster = members[index], vertex_bases[index], factors[index]
         if len(verts) == 0:
-            continue
+            return np.zeros((n_terms, n_terms))
         mixing = (u_vert * root_weights[verts, None]).T.astype(np.float32)
         mixed = mixing @ transfer[verts].reshape(len(verts), n_terms * n_coeffs)
         core = (mixed.reshape(-1, n_coeffs) @ cluster.light).astype(np.float64)
         r_vert, r_light = mixing.shape[0], cluster.light.shape[1]
         core = core.reshape(r_vert, n_terms, r_light).transpose(1, 0, 2)
         unfolded = core.reshape(n_terms, r_vert * r_light)
-        gram += unfolded @ unfolded.T
+        return np.asarray(unfolded @ unfolded.T)
+
+    gram = sum(map_in_order(gram_of, range(len(members))), np.zeros((n_terms, n_terms)))
     return leading_eigenvectors(gram, rank)[1].astype(np.float32)
 
 
@@ -63,9 +71,12 @@ def project_view(
     difference of energies, and is orthogonal to anything that is fitted to Z_x.
     """
     left_out = np.empty(len(transfer))
-    for chunk in row_chunks(transfer.reshape(len(transfer), -1)):
+
+    def project(chunk: slice) -> None:
         part = transfer[chunk]
         np.matmul(view_basis.T, part, out=z[chunk])
         residual = part - view_basis @ z[chunk]
         left_out[chunk] = row_energy(residual.reshape(len(part), -1))
+
+    map_in_order(project, row_chunks(transfer.reshape(len(transfer), -1)))
     return left_out
