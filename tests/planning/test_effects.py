@@ -1,5 +1,7 @@
 """Both directions: a skipped effect changes nothing, a needed one is not skipped."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
@@ -189,3 +191,36 @@ def test_convexity_does_not_depend_on_scale(scale):
 def test_a_flat_mesh_has_no_hull_and_is_not_called_convex():
     plane = receiver_plane(np.array([[-1.0, 0, -1], [1, 0, 1]]), resolution=4, extent=1.0, gap=0.0)
     assert convexity_defect(plane) == float("inf")
+
+
+def test_convexity_agrees_with_the_hull_on_random_solids():
+    """A convex hull has no defect; pushing one of its vertices in makes one."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        hull = trimesh.convex.convex_hull(rng.standard_normal((40, 3)))
+        positions, faces = np.asarray(hull.vertices), np.asarray(hull.faces, np.int32)
+        solid = Mesh(positions, faces, vertex_normals(positions, faces), None)
+        assert convexity_defect(solid) < 1e-12
+        dented = positions.copy()
+        dented[0] = 0.3 * positions[0] + 0.7 * positions.mean(axis=0)
+        assert convexity_defect(Mesh(dented, faces, vertex_normals(dented, faces), None)) > 1e-3
+
+
+def test_seams_do_not_open_a_mesh():
+    """A sphere whose every face has vertices of its own is still closed and convex."""
+    ball = sphere_mesh(2)
+    positions = ball.positions[ball.faces].reshape(-1, 3)
+    faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
+    assert convexity_defect(Mesh(positions, faces, positions.copy(), None)) < 1e-12
+
+
+def test_convexity_takes_linear_time():
+    """Counted in numpy's own work: 16 times the faces, no more than 40 times the memory's peak."""
+    peaks = []
+    for level in (3, 5):
+        ball = sphere_mesh(level)
+        tracemalloc.start()
+        convexity_defect(ball)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 40 * peaks[0]

@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 from prtbake_storage.errors import CorruptArtefact
 
 
-def write_bundle(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> Path:
-    """Write arrays (names may hold ``/``) and a header; return the path."""
+def write_bundle(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    header: Mapping[str, Any],
+    *,
+    gzip_level: int = 1,
+) -> Path:
+    """Write arrays (names may hold ``/``) and a header; return the path.
+
+    ``gzip_level`` 0 is for arrays that do not shrink and are read by many.
+    """
     with h5py.File(path, "w", libver=("v110", "v110"), track_order=False) as file:
         file.attrs["format"] = "prtbake-bundle"
         text = json.dumps(header, sort_keys=True).encode()
@@ -26,12 +35,10 @@ def write_bundle(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping
             array = np.ascontiguousarray(arrays[name])
             options: dict[str, Any] = {}
             if array.size > 64:
-                options = {
-                    "compression": "gzip",
-                    "compression_opts": 1,
-                    "shuffle": True,
-                    "fletcher32": True,
-                }
+                options = {"fletcher32": True}
+                if gzip_level:
+                    options |= {"compression": "gzip", "compression_opts": gzip_level}
+                    options |= {"shuffle": True}
             file.create_dataset(f"arrays/{name}", data=array, track_times=False, **options)
     return path
 

@@ -92,8 +92,8 @@ def compress_cta(
     Returns
     -------
     CtaModel
-        The same bytes on any number of threads.  Clusters may be fewer than asked for where the tensor has too few distinct vertices, and
-        each has its true ranks; ``notes`` says so.
+        The same bytes on any number of threads.  Clusters may be fewer than asked for where the
+        tensor has too few distinct vertices, and each has its true ranks; ``notes`` says so.
 
     Raises
     ------

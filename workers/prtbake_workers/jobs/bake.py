@@ -23,7 +23,13 @@ from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
 from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.inputs import albedo_of, load_brdf, load_mesh, load_texture, versions
-from prtbake_workers.jobs.scene_file import PlannedScene, read_scene, write_scene
+from prtbake_workers.jobs.scene_file import (
+    PlannedScene,
+    read_projection,
+    read_scene,
+    write_projection,
+    write_scene,
+)
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.plan import Plan, make_plan
 from prtbake_workers.planning.presets import StageSettings
@@ -69,7 +75,13 @@ def stages(
         return [
             Task(
                 f"{_MODULE}:run_tile",
-                {"scene": planned["scene"], "part": index, "start": start, "stop": stop},
+                {
+                    "scene": planned["scene"],
+                    "projection": planned["projection"],
+                    "part": index,
+                    "start": start,
+                    "stop": stop,
+                },
                 label=f"{part['name']} {start}-{stop}",
                 threads=threads,
             )
@@ -193,10 +205,15 @@ def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
 def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write the planned scene."""
     planned, plan = plan_scene(args, context.store)
-    planned.basis()  # a basis that cannot be solved fails here, before the first ray
+    # a basis that cannot be solved fails here, before the first ray
+    basis = planned.basis()
+    directions = cube_directions(planned.header["bake"]["cube_resolution"])
+    projection = basis.projection(directions.directions, directions.weights)
+    projected = write_projection(context.scratch / "projection.h5", projection)
     path = write_scene(context.scratch / "scene.h5", planned)
     return {
         "scene": context.store.put_file(path, move=True),
+        "projection": context.store.put_file(projected, move=True),
         "plan": plan.to_dict(),
         "errors": {
             part["name"]: factorisation.energy_lost
@@ -204,7 +221,7 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 planned.header["parts"], planned.factorisations, strict=True
             )
         },
-        "condition": planned.basis().condition,
+        "condition": basis.condition,
         "settings": args["settings"],
     }
 
@@ -220,7 +237,7 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         occluders,
         (args["start"], args["stop"]),
         factorisation=planned.factorisations[args["part"]],
-        projection=planned.basis().projection(directions.directions, directions.weights),
+        projection=read_projection(context.store.local_path(args["projection"])),
         directions=directions,
         supersample=bake["supersample"],
         shadows=occluders is not None,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
 from prtbake_workers.arrays import F32
+from prtbake_workers.basis.projection import SrbfProjection
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -45,6 +46,21 @@ class PlannedScene:
 def make_basis(bake: Mapping[str, Any]) -> SrbfBasis:
     """Make the basis that bake settings name."""
     return SrbfBasis(icosphere(SUBDIVISIONS[bake["n_centres"]]), bake["bandwidth"])
+
+
+_PROJECTION_ARRAYS = ("matrix", "samples", "weights", "gram")
+
+
+def write_projection(path: Path, projection: SrbfProjection) -> Path:
+    """Write what every tile of a bake projects with, so that none solves for it again."""
+    arrays = {name: getattr(projection, name) for name in _PROJECTION_ARRAYS}
+    return write_bundle(path, arrays, {"ridge": projection.ridge}, gzip_level=0)
+
+
+def read_projection(path: Path) -> SrbfProjection:
+    """Read a projection."""
+    arrays, header = read_bundle(path)
+    return SrbfProjection(**arrays, ridge=header["ridge"])
 
 
 def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from prtbake_storage.contract.settings import Effects, Switch
 from prtbake_workers.arrays import F64, I64, Float64, Int64
@@ -19,10 +18,10 @@ from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ra
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.topology import count_components, find_edges
 
 PROBE_VERTICES = 512
 PROBE_RAYS = 64
-FACES_A_BLOCK = 1024
 CONVEX_TOLERANCE = 1e-6
 """Height above a face's plane, in diagonals, that still counts as in it (float32 positions)."""
 
@@ -47,27 +46,27 @@ class Decision:
 
 
 def convexity_defect(mesh: Mesh) -> float:
-    """Measure how far a mesh rises above the planes of its own faces, in bounding-box diagonals.
+    """Measure how far faces rise above the planes of their neighbours, in bounding-box diagonals.
 
-    A closed surface is convex exactly where no vertex lies in front of any face; pieces apart from
-    each other fail that as dents do.  The farthest vertex along a face's normal is a vertex of the
-    convex hull, so only those are tried.
+    A closed connected surface that is convex at every edge is convex (van Heijenoort 1952), so
+    one look at each edge settles it.  Infinite for an open surface and for several pieces, which
+    can shadow each other.
     """
-    area_vectors = face_area_vectors(mesh.positions, mesh.faces)
-    lengths = np.linalg.norm(area_vectors, axis=1)
-    normals = area_vectors[lengths > 0.0] / lengths[lengths > 0.0, None]
-    anchors = mesh.positions[mesh.faces[lengths > 0.0, 0]]
-    try:
-        corners = mesh.positions[ConvexHull(mesh.positions).vertices]
-    except (QhullError, ValueError):
+    # by position: a seam of texture coordinates or normals is no edge
+    _, welded = np.unique(mesh.positions, axis=0, return_inverse=True)
+    faces = welded.reshape(-1)[mesh.faces].astype(np.int64)
+    edges = find_edges(faces)
+    if not (edges.n_faces_at == 2).all() or count_components(faces) != 1:
         return float("inf")
-    highest = 0.0
-    for start in range(0, len(normals), FACES_A_BLOCK):
-        block = slice(start, start + FACES_A_BLOCK)
-        reach = (normals[block] @ corners.T).max(axis=1)
-        height = reach - (normals[block] * anchors[block]).sum(axis=1)
-        highest = max(highest, float(height.max()))
-    return highest / mesh.diagonal
+    area_vectors = face_area_vectors(mesh.positions, mesh.faces)
+    lengths = np.linalg.norm(area_vectors, axis=1, keepdims=True)
+    normals = area_vectors / np.where(lengths > 0.0, lengths, 1.0)
+    corners = mesh.positions[mesh.faces].reshape(-1, 3)
+    # half-edge 3 f + i leaves corner i of face f; across from it lies the corner after the next
+    first, second = edges.pairs.T
+    across = second - second % 3 + (second + 2) % 3
+    height = ((corners[across] - corners[first]) * normals[first // 3]).sum(axis=1)
+    return max(0.0, float(height.max())) / mesh.diagonal
 
 
 def probe_occlusion(
