@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
@@ -52,6 +53,24 @@ def test_the_stated_compression_error_is_that_of_the_files(glossy_asset, store):
             stated = results["compress"][index]["errors"][part.name]
             # float32 factors against float64 sums
             assert stated == pytest.approx(ratio, rel=1e-3)
+
+
+def test_the_asset_says_how_it_was_made(glossy_asset, store):
+    request, _, results = glossy_asset
+    provenance = read_asset(store.local_path(results["quantise"][0]["asset"])).provenance
+    plan = results["plan"][0]["plan"]
+    made = provenance["compress"]
+    assert [part["n_clusters"] for part in made["parts"]] == [
+        part["compression"]["n_clusters"] for part in plan["parts"]
+    ]
+    assert [part["method"] for part in made["parts"]] == ["cta", "cpca"]
+    assert made["max_iterations"] == request["settings"]["compress"]["max_iterations"]
+    assert made["threads"] == CompressSettings().threads
+    assert provenance["tiles"] == [[list(tile) for tile in part["tiles"]] for part in plan["parts"]]
+    assert provenance["bake"]["threads"] == 1
+    assert provenance["quality"] == request["quality"]
+    assert provenance["inputs"]["brdf"] == request["brdf"]
+    assert {"numpy", "embreex"} <= set(made["versions"])
 
 
 def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):

@@ -164,6 +164,8 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         "provenance": {
             "inputs": {name: args[name] for name in ("mesh", "brdf", "albedo_texture", "receiver")},
             "bake": settings.bake.model_dump(mode="json"),
+            "quality": args["quality"],
+            "tiles": [[list(tile) for tile in part.tiles] for part in plan.parts],
             "seed": args["seed"],
             "versions": versions(),
             "effects": [decision.to_dict() for decision in effects],

@@ -61,11 +61,14 @@ def stages(
         ]
 
     def assemble(results: Results) -> list[Task]:
-        transfer, _ = plan_of(results)
-        factors = [result["factors"] for result in results["compress"]]
-        return [
-            Task(f"{_MODULE}:assemble", {"transfer": transfer, "factors": factors, "seed": seed})
-        ]
+        transfer, compressions = plan_of(results)
+        settings = {"max_iterations": max_iterations, "threads": threads, "seed": seed}
+        args = {
+            "transfer": transfer,
+            "factors": [result["factors"] for result in results["compress"]],
+            "compress": settings | {"parts": compressions},
+        }
+        return [Task(f"{_MODULE}:assemble", args)]
 
     return [
         Stage("compress", "parts", 30.0, parts),
@@ -194,7 +197,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for index, digest in enumerate(args["factors"]):
             arrays, factors = read_bundle(context.store.local_path(digest))
             parts.append(make_part(header.parts[index], factors["method"], arrays))
-        exact = make_asset(header, tuple(parts), seed=args["seed"], source=args["transfer"])
+        exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
         write_asset(exact_path, exact, bits=32)
         delivered = write_asset(path, exact, bits=16)
@@ -234,8 +237,10 @@ def make_part(part: TransferPart, method: Any, arrays: dict[str, NDArray[Any]]) 
     )
 
 
-def make_asset(header: TransferHeader, parts: tuple[Part, ...], *, seed: int, source: str) -> Asset:
-    """Join mesh, basis and parts."""
+def make_asset(
+    header: TransferHeader, parts: tuple[Part, ...], compress: dict[str, Any], *, source: str
+) -> Asset:
+    """Join mesh, basis and parts; ``compress`` says how the factors were made."""
     return Asset(
         positions=header.positions.astype(np.float32),
         faces=header.faces,
@@ -245,7 +250,7 @@ def make_asset(header: TransferHeader, parts: tuple[Part, ...], *, seed: int, so
         centres=header.centres,
         bandwidth=header.bandwidth,
         provenance=dict(header.provenance)
-        | {"transfer": source, "compress": {"seed": seed, "versions": versions()}},
+        | {"transfer": source, "compress": compress | {"versions": versions()}},
     )
 
 
