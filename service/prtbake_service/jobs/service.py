@@ -11,7 +11,7 @@ from prtbake_service.jobs.references import AnyRequest, Resolver
 from prtbake_storage.blobs.base import canonical_json
 from prtbake_storage.contract.jobs import Estimate, Job, JobState, job_request_adapter
 from prtbake_storage.errors import Conflict, InputError, PrtError
-from prtbake_storage.records import NewJob, referenced_blobs
+from prtbake_storage.records import NewJob
 
 log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
@@ -98,11 +98,12 @@ class JobService:
         return job
 
     def delete(self, job_id: str) -> None:
-        """Remove a job that has ended, and those of its artefacts that nothing else refers to."""
-        digests = {artefact.sha256 for artefact in self.get(job_id).artefacts}
+        """Remove the rows of a job that has ended.
+
+        Its blobs stay: a running job may have recalled them.  The workers' garbage collector takes
+        those that nothing refers to once they are old enough.
+        """
         self._backend.jobs.delete(job_id, project=self._project)
-        for digest in digests - referenced_blobs(self._backend.database):
-            self._backend.blobs.delete(digest)
         try:
             self._backend.queue.forget(job_id)
         except Exception:

@@ -16,7 +16,7 @@ from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.errors import PrtError
 from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
-from prtbake_storage.queue.memo import Memory, recall
+from prtbake_storage.queue.memo import Memory, enter, recall
 from prtbake_storage.queue.patience import patiently
 from prtbake_storage.queue.stages import ArtefactFile, Finished, JobRunner, Results, Task
 from prtbake_storage.queue.tally import Tally
@@ -99,12 +99,7 @@ class JobRun:
                     work.waiting.append(position)
             self._report(tally, work, now=True)
             self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
-            memories = [work.done[position] for position in range(len(work.tasks))]
-            results.add(
-                stage.name,
-                [memory.result for memory in memories],
-                [memory.measured for memory in memories],
-            )
+            enter(results, stage, [work.done[position] for position in range(len(work.tasks))])
         finished = self._runner.finish(run.kind, run.request, run.context, results)
         self._succeed(finished, tally)
 

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.queue.engine import Engine, Handlers, JobQueue, Slots
 from prtbake_storage.queue.failures import TaskStopped
+from prtbake_storage.queue.garbage import Collector
 from prtbake_storage.queue.heart import Heart
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.reconcile import Reconciler
@@ -78,6 +79,8 @@ class WorkerProcess:
             settings=settings,
         )
         threading.Thread(target=watchdog.run, args=(self._shutdown,), daemon=True).start()
+        collector = Collector(self._database, self._store, self._runner, settings)
+        threading.Thread(target=collector.run, args=(self._shutdown,), daemon=True).start()
         Reconciler(
             self._database,
             self._queue,
