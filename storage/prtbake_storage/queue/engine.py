@@ -79,9 +79,13 @@ def prepare(database_url: str) -> str:
     return url
 
 
-def task_id(job_id: str, stage: int, position: int) -> str:
-    """Name the workflow of a task; job ids hold no dot, so a job's tasks share a prefix."""
-    return f"{job_id}.{stage}.{position}"
+def task_id(job_id: str, stage: int, position: int, key: str) -> str:
+    """Name the workflow of a task; job ids hold no dot, so a job's tasks share a prefix.
+
+    The beginning of the task's key makes it another workflow when the code has changed, so that a
+    job taken up after an upgrade does not wait for what the old code has done.
+    """
+    return f"{job_id}.{stage}.{position}.{key[:12]}"
 
 
 class JobQueue:
@@ -101,11 +105,19 @@ class JobQueue:
         self._enqueue(name, name, job_id, priority, job_id)
 
     def submit_task(
-        self, job_id: str, stage: int, position: int, task: dict[str, Any], *, priority: int
-    ) -> None:
-        """Queue a task of a running job; doing so again changes nothing."""
-        workflow_id = task_id(job_id, stage, position)
+        self,
+        job_id: str,
+        stage: int,
+        position: int,
+        task: dict[str, Any],
+        *,
+        key: str,
+        priority: int,
+    ) -> str:
+        """Queue a task of a running job and name its workflow; doing so again changes nothing."""
+        workflow_id = task_id(job_id, stage, position, key)
         self._enqueue(TASKS, TASKS, workflow_id, priority, job_id, stage, position, task)
+        return workflow_id
 
     def statuses(self, workflow_ids: Sequence[str]) -> dict[str, str]:
         """Status by workflow id, of those that exist."""
@@ -301,7 +313,7 @@ class Engine:
 
         @DBOS.workflow(name=TASKS, max_recovery_attempts=worker_losses - 1)
         def task(job_id: str, stage: int, position: int, data: dict[str, Any]) -> dict[str, Any]:
-            with self._running(task_id(job_id, stage, position)):
+            with self._running(str(DBOS.workflow_id)):
                 return handlers.task(job_id, stage, position, data)
 
     @contextmanager

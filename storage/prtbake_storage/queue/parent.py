@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.errors import PrtError
-from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
+from prtbake_storage.queue.engine import ENDED, JobQueue
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
 from prtbake_storage.queue.memo import Memory, enter, recall
 from prtbake_storage.queue.patience import patiently
@@ -118,11 +118,16 @@ class JobRun:
             self._check_stop()
             while work.waiting and len(work.queued) < WINDOW:
                 position = work.waiting.popleft()
-                task = work.tasks[position].to_dict()
-                self._queue.submit_task(
-                    self._job_id, work.index, position, task, priority=run.priority
+                task = work.tasks[position]
+                workflow_id = self._queue.submit_task(
+                    self._job_id,
+                    work.index,
+                    position,
+                    task.to_dict(),
+                    key=task.key,
+                    priority=run.priority,
                 )
-                work.queued[task_id(self._job_id, work.index, position)] = position
+                work.queued[workflow_id] = position
             for workflow_id, status in self._queue.statuses(list(work.queued)).items():
                 if status in ENDED:
                     outcome = self._outcome(workflow_id, status)
@@ -146,7 +151,7 @@ class JobRun:
         if outcome.status == "failed" and outcome.error is not None:
             self._check_stop()  # a cancellation asked for comes before an error
             raise TaskFailed(outcome.error)
-        memory = recall(self._services.store, work.tasks[position].key)
+        memory = recall(self._services.store, outcome.key) if outcome.key else None
         if memory is None:
             self._check_stop()
             raise RuntimeError(f"the result of task {position} of stage {work.index} is gone")

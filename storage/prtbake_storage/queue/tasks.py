@@ -41,21 +41,30 @@ class Services:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task ended: ``done`` (its result is remembered), ``failed`` or ``stopped``."""
+    """How a task ended: ``done``, ``failed`` or ``stopped``.
+
+    Attributes
+    ----------
+    key
+        Under what the result of a task that is done is remembered: the name that the task has with
+        the code of the worker that ran it, which in the midst of an upgrade may not be the
+        parent's.
+    """
 
     status: str
     error: JobError | None = None
+    key: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Write as JSON."""
         error = self.error.model_dump() if self.error is not None else None
-        return {"status": self.status, "error": error}
+        return {"status": self.status, "error": error, "key": self.key}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Outcome":
         """Read back."""
         error = JobError.model_validate(data["error"]) if data["error"] else None
-        return Outcome(data["status"], error)
+        return Outcome(data["status"], error, data["key"])
 
 
 class TaskRun:
@@ -90,7 +99,7 @@ class TaskRun:
         except Exception as error:  # noqa: BLE001 - logged whole, and the outcome says it
             _log.exception("task.crashed", extra=self._fields)
             return Outcome("failed", describe(error))
-        return Outcome("done")
+        return Outcome("done", key=self._task.key)
 
     def _attempts(self) -> Memory:
         settings = self._services.settings

@@ -197,12 +197,12 @@ def test_an_operator_sees_what_would_go_and_then_lets_it_go(
         "PRTBAKE_DATABASE_URL": f"sqlite:///{tmp_path / 'prtbake.sqlite'}",
         "PRTBAKE_BLOB_URL": store.url,
     }
-    command = [sys.executable, "-m", "prtbake_storage.queue.garbage_main"]
-    command += ["--registry", "child_tasks:TWO_STAGES"]
-    said = [
-        json.loads(subprocess.check_output([*command, *more], env=environment))
-        for more in (["--dry-run"], [])
-    ]
+    program = (
+        "from prtbake_storage.queue.garbage_main import main\n"
+        "for more in ['--dry-run'], []: main(['--registry', 'child_tasks:TWO_STAGES', *more])\n"
+    )
+    output = subprocess.check_output([sys.executable, "-c", program], env=environment)
+    said = [json.loads(line) for line in output.splitlines()]
     went = {"n_blobs": 2, "n_bytes": 3 + 71, "n_results": 2}
     assert said[0] == went | {"dry_run": True}
     assert said[1] == went | {"dry_run": False}

@@ -1,0 +1,125 @@
+"""A job's walk through its stages, on real tasks; only the engine between them is played."""
+
+import os
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from child_tasks import TWO_STAGES
+
+from prtbake_storage.blobs import LocalBlobStore
+from prtbake_storage.contract.jobs import Job, JobState
+from prtbake_storage.queue import stages
+from prtbake_storage.queue.engine import task_id
+from prtbake_storage.queue.memo import recall
+from prtbake_storage.queue.parent import JobRun
+from prtbake_storage.queue.settings import QueueSettings
+from prtbake_storage.queue.stages import Results, Task
+from prtbake_storage.queue.tasks import Services, TaskRun
+from prtbake_storage.records import Database, Jobs, NewJob, create_database
+
+
+@pytest.fixture
+def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Services]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    settings = QueueSettings(data_dir=tmp_path, poll_s=0.01, retry_wait_s=0.01)
+    database = create_database(settings.database_url)
+    yield Services(database, LocalBlobStore(tmp_path / "blobs"), settings, threading.Event())
+    database.dispose()
+
+
+class Queue:
+    """Stands for the engine and a worker: a task runs when it is queued, once for each name."""
+
+    def __init__(self, services: Services) -> None:
+        self.services = services
+        self.outputs: dict[str, dict[str, Any]] = {}
+        self.n_runs = 0
+
+    def submit_task(
+        self, job_id: str, stage: int, position: int, task: dict[str, Any], *, key: str,
+        priority: int,
+    ) -> str:  # fmt: skip
+        assert priority == 50
+        name = task_id(job_id, stage, position, key)
+        if name not in self.outputs:
+            self.n_runs += 1
+            run = TaskRun(self.services, job_id, stage, position, Task.from_dict(task))
+            self.outputs[name] = run.run().to_dict()
+        return name
+
+    def statuses(self, names: Sequence[str]) -> dict[str, str]:
+        return {name: "SUCCESS" for name in names if name in self.outputs}
+
+    def output(self, name: str) -> dict[str, Any]:
+        return self.outputs[name]
+
+    def open_tasks(self, _job_id: str) -> dict[str, str]:
+        return {}
+
+
+@pytest.fixture
+def queue(services: Services) -> Queue:
+    return Queue(services)
+
+
+def submitted(database: Database, *words: str) -> None:
+    Jobs(database).create(NewJob(id="job", kind="words", request={"words": list(words)}))
+
+
+def walk(services: Services, queue: Queue) -> Job:
+    """Run the job to its end, as a worker would."""
+    JobRun(services, queue, TWO_STAGES, "job", quick=False).run()  # type: ignore[arg-type]
+    return Jobs(services.database).get("job")
+
+
+def first_task(*words: str) -> Task:
+    (task, *_) = TWO_STAGES.stages("words", {"words": list(words)}, {})[0].tasks(Results())
+    return task
+
+
+def test_a_job_runs_its_stages_and_ends_well(services: Services, queue: Queue) -> None:
+    submitted(services.database, "red", "green")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    assert queue.n_runs == 3
+    (artefact,) = job.artefacts
+    red, green = (services.store.put_bytes(word.encode()) for word in ("red", "green"))
+    assert services.store.read_bytes(artefact.sha256).decode() == f"{red} {green}"
+
+
+def test_a_job_taken_up_after_an_upgrade_does_not_wait_for_the_old_code(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submitted(services.database, "red")
+    task = first_task("red")
+    old = queue.submit_task("job", 0, 0, task.to_dict(), key=task.key, priority=50)
+    assert queue.outputs[old]["status"] == "done"
+    monkeypatch.setattr(stages, "code_version", lambda: "new")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    assert queue.n_runs == 3  # the old code's, and both stages by the new
+
+
+def test_a_parent_takes_what_a_worker_with_other_code_has_made(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submit = queue.submit_task
+
+    def submit_elsewhere(*args: Any, **fields: Any) -> str:
+        with monkeypatch.context() as patch:
+            patch.setattr(stages, "code_version", lambda: "theirs")
+            return submit(*args, **fields)
+
+    monkeypatch.setattr(queue, "submit_task", submit_elsewhere)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    # and nobody takes it later for what this code makes
+    assert recall(services.store, first_task("red").key) is None
