@@ -177,12 +177,12 @@ class JobQueue:
         """Queue a claimed workflow again, without counting a lost worker."""
         self._client.resume_workflow(claim.workflow_id, queue_name=claim.queue)
 
-    def forget(self, job_id: str) -> None:
-        """Delete a job's ended workflows, so that its id may be used anew."""
+    def forget(self, workflow_id: str) -> None:
+        """Delete the ended workflow of a job with its tasks', or of a task, to use its id anew."""
         tasks = self._client.list_workflows(
-            workflow_id_prefix=f"{job_id}.", load_input=False, load_output=False
+            workflow_id_prefix=f"{workflow_id}.", load_input=False, load_output=False
         )
-        self._client.delete_workflows([job_id, *(task.workflow_id for task in tasks)])
+        self._client.delete_workflows([workflow_id, *(task.workflow_id for task in tasks)])
 
     def prune(self, ended_before: str) -> int:
         """Delete workflows that ended before an ISO time; returns how many."""

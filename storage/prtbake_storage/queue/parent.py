@@ -7,14 +7,14 @@ change of the job's row is a compare-and-set.
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.errors import PrtError
-from prtbake_storage.queue.engine import ENDED, JobQueue
+from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
 from prtbake_storage.queue.memo import Memory, enter, recall
 from prtbake_storage.queue.patience import patiently
@@ -46,13 +46,14 @@ class _Stopped(Exception):
 
 @dataclass
 class _Work:
-    """A stage under way: what waits, what is in the queue, what is done."""
+    """A stage under way: what waits, what is in the queue, what is done, what was lost again."""
 
     index: int
     tasks: list[Task]
     waiting: deque[int] = field(default_factory=deque)
     queued: dict[str, int] = field(default_factory=dict)
     done: dict[int, Memory] = field(default_factory=dict)
+    losses: Counter[int] = field(default_factory=Counter)
 
 
 class JobRun:
@@ -154,8 +155,20 @@ class JobRun:
         memory = recall(self._services.store, outcome.key) if outcome.key else None
         if memory is None:
             self._check_stop()
-            raise RuntimeError(f"the result of task {position} of stage {work.index} is gone")
-        work.done[position] = memory
+            self._run_again(work, position)
+        else:
+            work.done[position] = memory
+
+    def _run_again(self, work: _Work, position: int) -> None:
+        """Put a task back whose result is not remembered any more, or lacks a blob."""
+        task = work.tasks[position]
+        work.losses[position] += 1
+        if (losses := work.losses[position]) == self._services.settings.task_attempts:
+            detail = f"the result of {task.label or task.function} was made and lost {losses} times"
+            raise TaskFailed(JobError(kind="internal", code="lost-result", detail=detail))
+        if not self._quick:
+            self._queue.forget(task_id(self._job_id, work.index, position, task.key))
+        work.waiting.append(position)
 
     def _report(self, tally: Tally, work: _Work, *, now: bool = False) -> None:
         if not now and time.monotonic() < self._next_progress:

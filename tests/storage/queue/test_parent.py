@@ -21,8 +21,9 @@ from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
 from prtbake_storage.queue.stages import Results, Task
-from prtbake_storage.queue.tasks import Services, TaskRun
+from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
 from prtbake_storage.records import Database, Jobs, NewJob, create_database
+from prtbake_storage.testing.blob_contract import digest_of
 
 
 @pytest.fixture
@@ -60,6 +61,9 @@ class Queue:
     def output(self, name: str) -> dict[str, Any]:
         return self.outputs[name]
 
+    def forget(self, name: str) -> None:
+        del self.outputs[name]
+
     def open_tasks(self, _job_id: str) -> dict[str, str]:
         return {}
 
@@ -73,9 +77,9 @@ def submitted(database: Database, *words: str) -> None:
     Jobs(database).create(NewJob(id="job", kind="words", request={"words": list(words)}))
 
 
-def walk(services: Services, queue: Queue) -> Job:
+def walk(services: Services, queue: Queue, *, quick: bool = False) -> Job:
     """Run the job to its end, as a worker would."""
-    JobRun(services, queue, TWO_STAGES, "job", quick=False).run()  # type: ignore[arg-type]
+    JobRun(services, queue, TWO_STAGES, "job", quick=quick).run()  # type: ignore[arg-type]
     return Jobs(services.database).get("job")
 
 
@@ -90,8 +94,8 @@ def test_a_job_runs_its_stages_and_ends_well(services: Services, queue: Queue) -
     assert job.state == JobState.succeeded, job.error
     assert queue.n_runs == 3
     (artefact,) = job.artefacts
-    red, green = (services.store.put_bytes(word.encode()) for word in ("red", "green"))
-    assert services.store.read_bytes(artefact.sha256).decode() == f"{red} {green}"
+    digests = [digest_of(word) for word in (b"red", b"green")]
+    assert services.store.read_bytes(artefact.sha256).decode() == " ".join(digests)
 
 
 def test_a_job_taken_up_after_an_upgrade_does_not_wait_for_the_old_code(
@@ -123,3 +127,43 @@ def test_a_parent_takes_what_a_worker_with_other_code_has_made(
     assert job.state == JobState.succeeded, job.error
     # and nobody takes it later for what this code makes
     assert recall(services.store, first_task("red").key) is None
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_task_whose_result_is_gone_is_run_again(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, quick: bool
+) -> None:
+    ran = TaskRun.run
+    n_lost = 0
+
+    def lose_the_first(run: TaskRun) -> Outcome:
+        nonlocal n_lost
+        outcome = ran(run)
+        if n_lost == 0:
+            n_lost += services.store.delete(digest_of(b"red"))
+        return outcome
+
+    monkeypatch.setattr(TaskRun, "run", lose_the_first)
+    submitted(services.database, "red")
+    job = walk(services, queue, quick=quick)
+    assert n_lost == 1
+    assert job.state == JobState.succeeded, job.error
+    assert services.store.read_bytes(digest_of(b"red")) == b"red"
+
+
+def test_a_result_that_never_stays_fails_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = queue.output
+
+    def lose(name: str) -> dict[str, Any]:
+        services.store.delete(digest_of(b"red"))
+        return output(name)
+
+    monkeypatch.setattr(queue, "output", lose)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.failed
+    assert job.error is not None
+    assert (job.error.code, queue.n_runs) == ("lost-result", 3)
+    assert job.error.detail == "the result of child_tasks:store_text was made and lost 3 times"
