@@ -53,6 +53,11 @@ class Task:
         }
         return hashlib.sha256(canonical_json(identity).encode()).hexdigest()
 
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return self.label or self.function
+
     def to_dict(self) -> dict[str, Any]:
         """Write as JSON."""
         return asdict(self)

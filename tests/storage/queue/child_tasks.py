@@ -44,6 +44,8 @@ def fail(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
         raise MeshError("vertex 7 is NaN", pointer="/blob")
     if how == "bug":
         return {}["missing"]  # type: ignore[no-any-return]
+    if how == "eio":
+        raise OSError(5, "Input/output error")
     if how == "no-dict":
         return [1]  # type: ignore[return-value]
     if how == "nan":

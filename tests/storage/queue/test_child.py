@@ -90,6 +90,7 @@ def test_only_the_tasks_own_words_count(run: Run, messages: list[dict[str, Any]]
         ("bug", "internal", "internal", "KeyError: 'missing'", False),
         ("no-dict", "internal", "internal", "must return a dict, not list", False),
         ("nan", "internal", "internal", "JSON compliant", False),
+        ("eio", "resource", "io-error", "OSError: [Errno 5] Input/output error", True),
         ("segfault", "resource", "task-died", "SIGSEGV", True),
         ("exit", "resource", "task-died", "exited with 7: giving up", False),
     ],

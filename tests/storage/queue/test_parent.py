@@ -1,5 +1,6 @@
 """A job's walk through its stages, on real tasks; only the engine between them is played."""
 
+import errno
 import os
 import sys
 import threading
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -15,14 +17,14 @@ from child_tasks import TWO_STAGES
 
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import Job, JobState
-from prtbake_storage.queue import stages
+from prtbake_storage.queue import patience, stages
 from prtbake_storage.queue.engine import task_id
 from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
 from prtbake_storage.queue.stages import Results, Task
 from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
-from prtbake_storage.records import Database, Jobs, NewJob, create_database
+from prtbake_storage.records import Database, Events, Jobs, NewJob, create_database
 from prtbake_storage.testing.blob_contract import digest_of
 
 
@@ -167,3 +169,58 @@ def test_a_result_that_never_stays_fails_the_job(
     assert job.error is not None
     assert (job.error.code, queue.n_runs) == ("lost-result", 3)
     assert job.error.detail == "the result of child_tasks:store_text was made and lost 3 times"
+
+
+@pytest.mark.parametrize("call", ["get_result", "size"])
+def test_a_store_that_fails_in_passing_does_not_fail_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    works, calls = getattr(services.store, call), []
+
+    def fail_twice(name: str) -> Any:
+        calls.append(name)
+        if len(calls) <= 2:
+            raise OSError(errno.ESTALE, "Stale file handle", name)
+        return works(name)
+
+    monkeypatch.setattr(services.store, call, fail_twice)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    events = Events(services.database).after("job")
+    told = [event.data["message"] for event in events if event.type == "log"]
+    assert len(told) == 2
+    assert all("Stale file handle" in line for line in told)
+
+
+def test_a_store_that_stays_away_fails_the_job_by_what_was_tried(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(digest: str) -> int:
+        raise OSError(errno.EIO, "Input/output error", digest)
+
+    monkeypatch.setattr(services.store, "size", fail)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.error is not None
+    assert (job.state, job.error.code) == (JobState.failed, "io-error")
+    assert job.error.detail.startswith("measuring joined.txt, tried 3 times: OSError: [Errno 5]")
+
+
+@pytest.mark.parametrize("call", ["submit_task", "statuses", "output"])
+def test_an_engine_whose_database_is_away_is_waited_for(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    monkeypatch.setattr(patience, "RETRY_S", 0.01)
+    works, calls = getattr(queue, call), []
+
+    def fail_often(*args: Any, **fields: Any) -> Any:
+        calls.append(call)
+        if len(calls) <= 5:
+            raise OperationalError("SELECT 1", {}, Exception("disk I/O error"))
+        return works(*args, **fields)
+
+    monkeypatch.setattr(queue, call, fail_often)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
