@@ -5,6 +5,7 @@ A blob is immutable and named by its digest ``sha256:<64 hex>``.  Beside the blo
 because they live with the blobs a directory and a remote store serve the workers alike.
 """
 
+import hashlib
 import json
 import math
 import re
@@ -49,6 +50,11 @@ def check_owner(owner: str) -> str:
 def canonical_json(value: Any) -> str:
     """Write JSON with sorted keys and no spaces; NaN and infinity are a ValueError."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def json_digest(value: Any) -> str:
+    """SHA-256 of a JSON value however its keys are ordered, in 64 hex digits."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 @dataclass(frozen=True)

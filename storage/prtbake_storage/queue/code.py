@@ -7,7 +7,7 @@ from functools import cache
 from importlib import metadata, util
 from pathlib import Path
 
-from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.blobs.base import json_digest
 
 PACKAGES = (
     "numpy", "scipy", "embreex", "trimesh", "h5py", "moderngl", "opencv-python-headless",
@@ -36,7 +36,7 @@ def code_version() -> str:
         "packages": {name: _version(name) for name in PACKAGES},
         "sources": {name: source_digests(_folder(name)) for name in SOURCES},
     }
-    return hashlib.sha256(canonical_json(identity).encode()).hexdigest()
+    return json_digest(identity)
 
 
 def source_digests(folder: Path | None) -> Mapping[str, str]:

@@ -6,13 +6,12 @@ arguments, named by the digest of both and of the code, and its result is rememb
 name: it is never run again, whichever worker, retry or recovery asks.
 """
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
-from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.queue.code import code_version
 
 
@@ -51,7 +50,7 @@ class Task:
             "threads": self.threads,
             "code": code_version(),
         }
-        return hashlib.sha256(canonical_json(identity).encode()).hexdigest()
+        return json_digest(identity)
 
     @property
     def title(self) -> str:
