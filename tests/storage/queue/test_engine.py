@@ -10,14 +10,7 @@ import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
-from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers, create_database
-
-
-@pytest.fixture
-def database(database_url: str) -> Iterator[Database]:
-    database = create_database(database_url)
-    yield database
-    database.dispose()
+from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
 
 
 @pytest.fixture

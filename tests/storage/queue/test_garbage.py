@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,17 +28,9 @@ from prtbake_storage.records import (
     NewJob,
     Runs,
     Stop,
-    create_database,
 )
 
 MONTH_S = 30 * 86400.0
-
-
-@pytest.fixture
-def database(database_url: str) -> Iterator[Database]:
-    database = create_database(database_url)
-    yield database
-    database.dispose()
 
 
 @pytest.fixture
