@@ -35,7 +35,7 @@ HANDLED = {
     "elephant-with-holes.off": {"duplicate_vertices": 65, "boundary_edges": 1353},
     "fan3.obj": {"non_manifold_edges": 1, "boundary_edges": 6},
     "fold.off": {"boundary_edges": 10, "n_faces": 12},
-    # one of its three normals fits none of the faces that name it
+    # the normals at the face between the two lie in its plane
     "joined_tetrahedra.obj": {"non_manifold_edges": 3, "duplicate_faces": 1, "replaced_normals": 3},
     "moebius.obj": {"orientable": False, "n_polygons": 224, "boundary_edges": 112},
     "multibody.stl": {"clashing_edges": 12, "components": 2, "watertight": True},

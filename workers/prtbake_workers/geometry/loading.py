@@ -57,7 +57,12 @@ def load_mesh(
     if kind not in FORMATS:
         raise MeshError(f"format '{format}' is not one of auto, {', '.join(FORMATS)}")
     raw = read_obj(data, limits) if kind == "obj" else read_foreign(data, kind, limits)
-    return repair(raw, kind, orient_outward=orient_outward, crease_angle_deg=crease_angle_deg)
+    mesh, report = repair(
+        raw, kind, orient_outward=orient_outward, crease_angle_deg=crease_angle_deg
+    )
+    # creases may have split every corner of every triangle
+    limits.check(vertices=mesh.n_vertices)
+    return mesh, report
 
 
 def recognise_format(data: bytes) -> str:
