@@ -9,6 +9,7 @@ import numpy as np
 from prtbake_workers.arrays import F64, I32, Float64, Int32
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.ray_offset import ray_sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,13 @@ class Scene:
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @cached_property
+    def ray_sides(self) -> Float64[F64, "verts 3"]:
+        """Direction in which rays leave each vertex: its normal, or between those of a split."""
+        sizes = [stop - start for start, stop in self.part_ranges]
+        part = np.repeat(np.arange(len(sizes)), sizes)
+        return ray_sides(self.positions, self.faces, self.normals, part)
 
     @property
     def n_vertices(self) -> int:
