@@ -4,12 +4,18 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
+from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
+from prtbake_workers.geometry.mesh import face_area_vectors
+from prtbake_workers.geometry.topology import find_edges
 
 EPSILON_STEPS = 16
 """Offset in steps of float32 at the size of the scene.  A corner, an origin and the point of
 intersection are each off by about one step; 0.8 steps (1e-7) already stop nearly all self-hits on
 the 35k-vertex bunny, and from 2 to 25 steps its occluded share moves by 2e-4 in all."""
+
+INSET = 0.5
+"""How far the rays of a boundary vertex start inside the edge, in offsets: eight steps of float32,
+and too little to dive into a face less than 63 degrees steep."""
 
 
 @runtime_checkable
@@ -37,6 +43,60 @@ def offset_origins(
 ) -> Float32[F32, "verts 3"]:
     """Move points off the surface, p + epsilon n, and round once to float32."""
     return (points + epsilon * normals).astype(np.float32)
+
+
+def inset_boundary(
+    positions: Float64[F64, "verts 3"],
+    faces: Int32[I32, "tris 3"],
+    normals: Float64[F64, "verts 3"],
+    distance: float,
+) -> Float64[F64, "verts 3"]:
+    """Move the vertices on open edges towards the middle of their triangles.
+
+    Where two sheets meet in an edge that they do not share, as the walls of a room do, a vertex of
+    one lies in the plane of the other, and half of its rays would start on the wrong side of it or
+    exactly in it: of a closed room made of six squares a third of the rays would get out.  Moved a
+    hair inwards it sees what the surface beside it sees.
+
+    Parameters
+    ----------
+    positions, faces, normals
+        The surface.
+    distance
+        How far, in scene units.
+
+    Returns
+    -------
+    array
+        Positions; vertices that are on no open edge stay where they are.
+    """
+    edges = find_edges(faces.astype(np.int64))
+    half = np.flatnonzero(edges.n_faces_at[edges.edge_of] == 1)
+    if len(half) == 0:
+        return positions.copy()
+    boundary = np.zeros(len(positions), np.bool_)
+    boundary[faces.ravel()[half]] = True
+    boundary[np.roll(faces, -1, axis=1).ravel()[half]] = True
+    own = boundary[faces].any(axis=1)
+    near = faces[own]
+    area = np.linalg.norm(face_area_vectors(positions, near), axis=1)
+    pull = area[:, None] * positions[near].mean(axis=1)
+    inward = np.stack(
+        [
+            np.bincount(near.ravel(), np.repeat(pull[:, axis], 3), minlength=len(positions))
+            for axis in range(3)
+        ],
+        axis=1,
+    )
+    weight = np.bincount(near.ravel(), np.repeat(area, 3), minlength=len(positions))
+    inward -= weight[:, None] * positions
+    # never down into the surface; up is where a concave one opens
+    inward -= np.minimum((inward * normals).sum(axis=1), 0.0)[:, None] * normals
+    length = np.linalg.norm(inward, axis=1)
+    moves = boundary & (length > 0.0)
+    moved = positions.copy()
+    moved[moves] += distance * inward[moves] / length[moves, None]
+    return moved
 
 
 def self_hit_count(

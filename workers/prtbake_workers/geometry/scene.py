@@ -9,6 +9,7 @@ import numpy as np
 from prtbake_workers.arrays import F64, I32, Float64, Int32
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.ray_offset import INSET, inset_boundary, ray_epsilon
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,12 @@ class Scene:
     def bounds(self) -> Float64[F64, "2 3"]:
         """Lower and upper corner of the bounding box."""
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
+
+    @cached_property
+    def ray_points(self) -> Float64[F64, "verts 3"]:
+        """Where the rays of each vertex start, before the offset along its normal."""
+        distance = INSET * ray_epsilon(self.bounds)
+        return inset_boundary(self.positions, self.faces, self.normals, distance)
 
     @cached_property
     def diagonal(self) -> float:

@@ -101,7 +101,7 @@ def vertex_terms(
     """Gather the light of each term at vertices of the scene, with true shadows."""
     scene = validation.scene
     normals = scene.normals[vertices]
-    points = SurfacePoints(scene.positions[vertices], normals, normals)
+    points = SurfacePoints(scene.ray_points[vertices], normals, normals)
     result = np.zeros((len(vertices), part.factorisation.n_terms, 3))
     for block in blocks(len(vertices), len(light.directions)):
         received = visible_cosine(

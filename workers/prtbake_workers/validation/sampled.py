@@ -27,7 +27,7 @@ def sampled_terms(
     directions = validation.directions
     epsilon = ray_epsilon(scene.bounds)
     normals = scene.normals[vertices]
-    points = SurfacePoints(scene.positions[vertices], normals, normals)
+    points = SurfacePoints(scene.ray_points[vertices], normals, normals)
     rays = directions.sub_directions(validation.supersample).astype(np.float64)
     result = np.zeros((len(vertices), own.factorisation.n_terms, columns.shape[1]))
     for block in blocks(len(vertices), directions.n):
