@@ -26,7 +26,9 @@ def disc(radius, height, n_rings, n_sectors, *, up):
     radii *= np.sqrt(np.pi / (0.5 * n_sectors * np.sin(2.0 * np.pi / n_sectors)))
     ring = np.stack([np.cos(angles), np.zeros(n_sectors), -np.sin(angles)], axis=1)
     positions = np.concatenate([[np.zeros(3)], (radii[:, None, None] * ring).reshape(-1, 3)])
-    return _about_axis([*positions, 0.0, height, 0.0], n_rings, n_sectors, 1.0 if up else -1.0)
+    return _about_axis(
+        positions + np.array([0.0, height, 0.0]), n_rings, n_sectors, 1.0 if up else -1.0
+    )
 
 
 def bowl(n_rings, n_sectors, *, depth_rad=0.5 * np.pi):

@@ -81,13 +81,13 @@ def inset_boundary(
     near = faces[own]
     area = np.linalg.norm(face_area_vectors(positions, near), axis=1)
     pull = area[:, None] * positions[near].mean(axis=1)
-    inward = np.stack(
+    inward: F64 = np.stack(
         [
             np.bincount(near.ravel(), np.repeat(pull[:, axis], 3), minlength=len(positions))
             for axis in range(3)
         ],
         axis=1,
-    )
+    ).astype(np.float64)
     weight = np.bincount(near.ravel(), np.repeat(area, 3), minlength=len(positions))
     inward -= weight[:, None] * positions
     # never down into the surface; up is where a concave one opens

@@ -62,7 +62,7 @@ class Albedo:
         grey = values[:, :1] if (values == values[:, :1]).all() else values
 
         def at(triangles: I64, barycentrics: F64) -> F64:
-            return np.einsum("hc,hck->hk", barycentrics, grey[faces[triangles]])
+            return np.asarray(np.einsum("hc,hck->hk", barycentrics, grey[faces[triangles]]))
 
         return cls(at, grey.max(axis=0, initial=0.0))
 

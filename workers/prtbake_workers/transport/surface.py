@@ -62,4 +62,4 @@ class FaceSides:
         """Whether each ray comes from the front of the triangle that it hits."""
         approach = np.einsum("hj,hj->h", self._across[triangles], directions)
         leaning = np.einsum("hc,hc->h", self._leaning[triangles], barycentrics)
-        return np.where(leaning < 0.0, approach > 0.0, approach < 0.0)
+        return np.asarray(np.where(leaning < 0.0, approach > 0.0, approach < 0.0))
