@@ -28,8 +28,7 @@ ROUGHNESS = 8.0
 TWIN_SWEEPS = 3
 TWIN_ITERATIONS = 2
 LEAST_SPEED_UP = 4.0
-# Two local searches from one start part ways by rounding: by 1e-4 of the error in trials.
-SAME_ERROR = 1.001
+SAME_ERROR = 1.0
 MOST_UNITS = 41.0
 MOST_MEMORY_BYTES = 4 << 30
 

@@ -102,6 +102,22 @@ def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
     }  # fmt: skip
     validated = run_stages(REGISTRY.stages("validate", validate, context), store)
     assert len(validated["validate"]) == 2
+    # without the asset before its quantisation one line holds what else are two
+    alone = lines_of(validated)
+    assert "compression" not in alone
+    artefacts["exact"] = {"digest": results["quantise"][0]["exact"]}
+    held = lines_of(run_stages(REGISTRY.stages("validate", validate, context), store))
+    assert held == lines_of(results)
+    merged = alone["compression and 16-bit factors"]
+    apart = held["compression"], held["16-bit factors"]
+    assert apart[1] > 0.0
+    assert abs(apart[0] - apart[1]) <= merged <= sum(apart)
+
+
+def lines_of(results):
+    """The budget of the first picture: error by line."""
+    lines = results["validate"][0]["views"][0]["budget"]["lines"]
+    return {line["name"]: line["error"] for line in lines}
 
 
 def test_estimate_plans_without_running(glossy_asset, store):

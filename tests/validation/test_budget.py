@@ -85,6 +85,31 @@ def test_pooling_is_the_norm_over_all_pixels(rng, truth):
     assert pooled.total == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_picture_that_shows_nothing_hides_no_noise(rng, truth):
+    """Pooled with an empty picture, pure noise is still marked, in the line and in the total."""
+    noise = make_budget(
+        [
+            ChainPicture("reference", noisy(rng, truth, 8, 0.1)),
+            ChainPicture("same", noisy(rng, truth, 8, 0.1)),
+        ]
+    )
+    empty = make_budget(
+        [ChainPicture("reference", np.zeros((1, 0, 3))), ChainPicture("same", np.zeros((1, 0, 3)))]
+    )
+    pooled = pool_budgets([noise, empty])
+    assert noise.total_below_noise
+    assert pooled.total_below_noise
+    assert pooled.lines[0].below_noise
+    # negative twin: a step well above the noise is not marked
+    step = make_budget(
+        [
+            ChainPicture("reference", noisy(rng, truth, 8, 0.01)),
+            ChainPicture("far", 2.0 * truth[None]),
+        ]
+    )
+    assert not pool_budgets([step, empty]).total_below_noise
+
+
 def test_pictures_with_other_numbers_of_passes_are_refused(truth):
     with pytest.raises(ValueError, match="2 passes, b 3"):
         make_budget(

@@ -127,7 +127,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         meshes,
         scene,
         Accelerator(scene.positions, scene.faces),
-        part_terms=part_terms,
+        factorisations=factorisations,
         watertight=bool(report.get("watertight", False)),
         requested=Effects.model_validate(args["effects"]),
         seed=args["seed"],
@@ -141,7 +141,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         settings,
         args["quality"],
         chunk_vertices=transfer_chunk_vertices,
-        notes=[*notes, *report.get("warnings", [])],
+        notes=[*notes, *repairs(report), *report.get("warnings", [])],
     )
     header = {
         "bake": settings.bake.model_dump(mode="json"),
@@ -159,6 +159,22 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         },
     }
     return PlannedScene(scene, factorisations, texture, header), plan
+
+
+REPAIRS = {
+    "unreferenced_vertices": "vertices that no face uses were dropped",
+    "duplicate_vertices": "duplicate vertices were merged",
+    "degenerate_faces": "faces without area were dropped",
+    "duplicate_faces": "duplicate faces were dropped",
+    "flipped_faces": "faces were turned to agree with their neighbours",
+    "pieces_turned_outward": "pieces were turned inside out",
+    "pieces_left_inside_out": "pieces were left inside out",
+}
+
+
+def repairs(report: dict[str, Any]) -> list[str]:
+    """Say what parsing had to mend in the mesh."""
+    return [f"mesh: {report[name]} {what}" for name, what in REPAIRS.items() if report.get(name)]
 
 
 def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:

@@ -53,8 +53,7 @@ def _render(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
 def _validate(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = ValidateRequest.model_validate(request)
     given = context["artefacts"]
-    inputs = {name: given[name]["digest"] for name in ("transfer", "asset", "light")}
-    inputs["exact"] = given.get("exact", given["asset"])["digest"]
+    inputs = {name: artefact["digest"] for name, artefact in given.items()}
     return validate.stages(
         lambda _: inputs, context["environment"]["canonical"], parsed.settings, parsed.seed
     )

@@ -51,7 +51,7 @@ def stages(
     settings: ValidateSettings,
     seed: int,
 ) -> list[Stage]:
-    """One task a camera; ``inputs_of`` gives the digests of transfer, exact, asset and light."""
+    """One task a camera; ``inputs_of`` gives digests: transfer, asset, light and maybe exact."""
     dumped = settings.model_dump(mode="json")
 
     def cameras(results: Results) -> list[Task]:
@@ -133,7 +133,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         directions=cube_directions(bake["cube_resolution"]),
         supersample=bake["supersample"],
         relight_stored=relight_stored,
-        exact=read_asset(store.local_path(args["exact"])),
+        exact=read_asset(store.local_path(args["exact"])) if "exact" in args else None,
         delivered=read_asset(store.local_path(args["asset"])),
         environment=load_environment(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),
@@ -142,7 +142,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
 
 def _check_kinship(args: dict[str, Any], store: BlobStore) -> None:
     """Refuse artefacts that do not belong together: their budget would look right and be wrong."""
-    for name in ("asset", "exact"):
+    for name in ("asset", "exact") if "exact" in args else ("asset",):
         source = read_asset(store.local_path(args[name])).provenance.get("transfer")
         if source != args["transfer"]:
             raise InputError(

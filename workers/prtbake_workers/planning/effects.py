@@ -1,11 +1,11 @@
 """Which effects a scene calls for, and why.
 
 Every decision carries its reason, the evidence it rests on, and the error predicted if it were
-the other way: the share of squared cosine-weighted visibility that the effect changes, estimated
-from a sparse probe of rays.  That is the squared-error ratio of a diffuse surface, and stands in
-for that of a glossy one.
+the other way: the squared-error ratio in radiance norm that the effect changes, estimated from a
+sparse probe of rays weighted with the part's own transfer.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from prtbake_storage.contract.settings import Effects, Switch
-from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
@@ -72,38 +73,45 @@ def convexity_defect(mesh: Mesh) -> float:
 def probe_occlusion(
     scene: Scene,
     accelerator: Accelerator,
-    vertex_range: tuple[int, int],
+    part: int,
+    factorisation: Factorisation,
     *,
     seed: int,
 ) -> tuple[float, float, int]:
     """Estimate what shadows take from a part.
 
     Returns the squared-error ratio of leaving all shadows out, the share of occluded rays, and
-    the ray count.  Rays are cosine-distributed; a ray's squared transfer is cos^2, so under this
-    density the ratio is the cosine-weighted mean of the occluded rays.
+    the ray count.  The squared transfer of a ray, summed over the terms, is
+    ``sum_k psi_k^2 cos^2``; rays are cosine-distributed, so each weighs ``sum_k psi_k^2 cos``.
     """
     rng = np.random.default_rng(seed)
-    start, stop = vertex_range
+    start, stop = scene.part_ranges[part]
     count = min(PROBE_VERTICES, stop - start)
-    areas = np.maximum(scene.areas[start:stop], 0.0)
-    share = areas / areas.sum() if areas.sum() > 0 else None
-    chosen = start + rng.choice(stop - start, size=count, replace=False, p=_usable(share, count))
+    chosen = start + _by_area(scene.areas[start:stop], count, rng)
     local, cosine = _cosine_directions(rng, count)
     frames = tangent_frames(scene.normals[chosen])
     world = np.einsum("vij,vri->vrj", frames, local).reshape(-1, 3).astype(np.float32)
     epsilon = ray_epsilon(scene.bounds)
     origins = offset_origins(scene.ray_points[chosen], scene.normals[chosen], epsilon)
     blocked = accelerator.occluded(np.repeat(origins, PROBE_RAYS, axis=0), world)
-    weight = cosine.reshape(-1)
+    psi = factorisation.eval_psi(local.reshape(-1, 3))
+    weight = (psi**2).sum(axis=1) * cosine.reshape(-1)
     lost = float((weight * blocked).sum())
     kept = float((weight * ~blocked).sum())
     ratio = lost / kept if kept > 0 else (1.0 if lost > 0 else 0.0)
     return ratio, float(blocked.mean()), int(blocked.size)
 
 
-def _usable(share: F64 | None, count: int) -> F64 | None:
-    """Drop the weights where fewer vertices have area than are to be drawn."""
-    return share if share is not None and np.count_nonzero(share) >= count else None
+def _by_area(
+    areas: Float64[F64, " verts"], count: int, rng: np.random.Generator
+) -> Int64[I64, " count"]:
+    """Draw vertices with a probability proportional to their areas, evenly spread (systematic)."""
+    cumulative = np.cumsum(np.maximum(areas, 0.0))
+    if not cumulative[-1] > 0.0:
+        return np.arange(count)
+    at = (np.arange(count) + rng.random()) / count * cumulative[-1]
+    found = np.searchsorted(cumulative, at, side="right")
+    return np.asarray(np.minimum(found, len(areas) - 1), np.int64)
 
 
 def _cosine_directions(
@@ -120,15 +128,18 @@ def decide_effects(
     scene: Scene,
     accelerator: Accelerator,
     *,
-    part_terms: list[int],
+    factorisations: Sequence[Factorisation],
     watertight: bool,
     requested: Effects,
     seed: int,
 ) -> list[Decision]:
     """Decide effect by effect for an object (part 0) and, where there is one, its receiver."""
+    part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
-        _self_shadowing(meshes[0], scene, watertight, requested.self_shadowing, seed),
-        _receiver_shadows(scene, accelerator, requested.receiver_shadows, seed),
+        _self_shadowing(
+            meshes[0], scene, factorisations[0], watertight, requested.self_shadowing, seed
+        ),
+        _receiver_shadows(scene, accelerator, factorisations, requested.receiver_shadows, seed),
         _view_dependence(part_terms, requested.view_dependence),
         Decision(
             effect="tangent_frames",
@@ -160,11 +171,16 @@ def _settle(switch: Switch, called_for: bool) -> tuple[bool, bool]:
 
 
 def _self_shadowing(
-    mesh: Mesh, scene: Scene, watertight: bool, switch: Switch, seed: int
+    mesh: Mesh,
+    scene: Scene,
+    factorisation: Factorisation,
+    watertight: bool,
+    switch: Switch,
+    seed: int,
 ) -> Decision:
     defect = convexity_defect(mesh)
     own = Accelerator(mesh.positions, mesh.faces)
-    ratio, share, rays = probe_occlusion(scene, own, scene.part_ranges[0], seed=seed)
+    ratio, share, rays = probe_occlusion(scene, own, 0, factorisation, seed=seed)
     convex = watertight and defect <= CONVEX_TOLERANCE and share == 0.0
     taken, forced = _settle(switch, not convex)
     reason = (
@@ -188,14 +204,19 @@ def _self_shadowing(
 
 
 def _receiver_shadows(
-    scene: Scene, accelerator: Accelerator, switch: Switch, seed: int
+    scene: Scene,
+    accelerator: Accelerator,
+    factorisations: Sequence[Factorisation],
+    switch: Switch,
+    seed: int,
 ) -> Decision:
     """Decide on the light that object and receiver take from each other, both ways."""
     if len(scene.part_ranges) < 2:
         return Decision("receiver_shadows", False, switch != "auto", "there is no receiver", {})
-    ratio, share, rays = probe_occlusion(scene, accelerator, scene.part_ranges[1], seed=seed + 1)
+    own, other = factorisations[:2]
+    ratio, share, rays = probe_occlusion(scene, accelerator, 1, other, seed=seed + 1)
     plane = Accelerator(scene.positions, scene.faces[scene.part_of_face == 1])
-    below, from_object, more = probe_occlusion(scene, plane, scene.part_ranges[0], seed=seed + 2)
+    below, from_object, more = probe_occlusion(scene, plane, 0, own, seed=seed + 2)
     # a sparse probe can miss a small object on a wide plane: that a ray is blocked settles it,
     # that none is does not, so a receiver always gets its shadows unless forced off
     taken, forced = _settle(switch, True)

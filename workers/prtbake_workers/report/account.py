@@ -71,7 +71,13 @@ def pooled_budget(views: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             lines=tuple(BudgetLine(**line) for line in view["budget"]["lines"]),
             **{
                 name: view["budget"][name]
-                for name in ("total", "total_noise", "reference_noise", "squared_reference")
+                for name in (
+                    "total",
+                    "total_noise",
+                    "total_below_noise",
+                    "reference_noise",
+                    "squared_reference",
+                )
             },
         )
         for view in views
@@ -99,9 +105,16 @@ def make_report(
     peak = max((stage.peak_memory_bytes for stage in stages), default=0)
     summary = f"{seconds:.0f} s of work, at most {peak / 2**30:.2f} GiB in one process."
     if budget is not None:
+        shown = sum(view["hits"] > 0 for view in views)
+        unseen = f" ({len(views) - shown} more show nothing)" if shown < len(views) else ""
+        noisy = (
+            f", below the {100 * budget['total_noise']:.2g} % that the reference's noise hides"
+            if budget["total_below_noise"]
+            else ""
+        )
         summary += (
-            f" Over {len(views)} pictures the delivered asset is "
-            f"{100 * budget['total']:.2g} % from the reference (relative L2)."
+            f" Over {shown} pictures{unseen} the delivered asset is "
+            f"{100 * budget['total']:.2g} % from the reference (relative L2){noisy}."
         )
     return {
         "title": title,

@@ -6,6 +6,8 @@ from typing import Any
 
 import jinja2
 
+from prtbake_workers.validation.chain import MEANINGS
+
 _ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("prtbake_workers.report", "templates"),
     autoescape=True,
@@ -42,4 +44,6 @@ def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str
         name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
         for name, data in pictures.items()
     }
-    return _ENVIRONMENT.get_template("report.html").render(report=report, pictures=embedded)
+    return _ENVIRONMENT.get_template("report.html").render(
+        report=report, pictures=embedded, meanings=MEANINGS
+    )

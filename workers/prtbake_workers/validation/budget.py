@@ -47,6 +47,7 @@ class Budget:
     lines: tuple[BudgetLine, ...]
     total: float
     total_noise: float
+    total_below_noise: bool
     reference_noise: float
     """Relative standard error of the reference picture itself."""
     squared_reference: float
@@ -85,7 +86,7 @@ def make_budget(chain: Sequence[ChainPicture]) -> Budget:
     if squared <= 0.0:
         if not any(picture.passes.any() for picture in chain):
             dark = tuple(BudgetLine(picture.name, 0.0, 0.0, False) for picture in chain[1:])
-            return Budget(dark, 0.0, 0.0, 0.0, 0.0)
+            return Budget(dark, 0.0, 0.0, False, 0.0, 0.0)
         squared = max(float((chain[-1].mean ** 2).sum()), np.finfo(np.float64).tiny)
     lines = []
     for before, after in pairwise(chain):
@@ -93,32 +94,50 @@ def make_budget(chain: Sequence[ChainPicture]) -> Budget:
         lines.append(_line(after.name, value, variance, squared))
     value, variance = squared_difference(reference, chain[-1])
     total = _line("total", value, variance, squared)
-    return Budget(tuple(lines), total.error, total.noise, float(np.sqrt(noise / squared)), squared)
+    return Budget(
+        lines=tuple(lines),
+        total=total.error,
+        total_noise=total.noise,
+        total_below_noise=total.below_noise,
+        reference_noise=float(np.sqrt(noise / squared)),
+        squared_reference=squared,
+    )
 
 
 def pool_budgets(budgets: Sequence[Budget]) -> Budget:
-    """Pool the budgets of several pictures: every norm is taken over all of their pixels."""
-    squared = sum(budget.squared_reference for budget in budgets)
+    """Pool the budgets of several pictures: every norm is taken over all of their pixels.
+
+    A pooled error is below its noise where the pooled square is less than twice its variance, as
+    for one picture; a picture that shows nothing counts for nothing.
+    """
+    weights = [budget.squared_reference for budget in budgets]
+    squared = sum(weights)
     if squared == 0.0:
         return budgets[0]
 
     def pooled(values: list[float]) -> float:
-        weights = [budget.squared_reference for budget in budgets]
         return float(np.sqrt(np.dot(weights, np.square(values)) / squared))
 
+    def line_of(name: str, errors: list[float], noises: list[float]) -> BudgetLine:
+        error, noise = pooled(errors), pooled(noises)
+        return BudgetLine(name, error, noise, below_noise=noise > 0.0 and error < noise)
+
     lines = tuple(
-        BudgetLine(
-            name=line.name,
-            error=pooled([budget.lines[i].error for budget in budgets]),
-            noise=pooled([budget.lines[i].noise for budget in budgets]),
-            below_noise=all(budget.lines[i].below_noise for budget in budgets),
+        line_of(
+            line.name,
+            [budget.lines[i].error for budget in budgets],
+            [budget.lines[i].noise for budget in budgets],
         )
         for i, line in enumerate(budgets[0].lines)
     )
+    total = line_of(
+        "total", [budget.total for budget in budgets], [budget.total_noise for budget in budgets]
+    )
     return Budget(
         lines=lines,
-        total=pooled([budget.total for budget in budgets]),
-        total_noise=pooled([budget.total_noise for budget in budgets]),
+        total=total.error,
+        total_noise=total.noise,
+        total_below_noise=total.below_noise,
         reference_noise=pooled([budget.reference_noise for budget in budgets]),
         squared_reference=squared,
     )

@@ -25,18 +25,26 @@ from prtbake_workers.validation.sampled import (
 from prtbake_workers.validation.scene import ValidationScene
 from prtbake_workers.validation.shading import with_plain_terms
 
-LINES = (
-    "reference",
-    "K terms",
-    "BRDF tables",
-    "vertex interpolation",
-    "visibility sampling",
-    "SRBF basis",
-    "16-bit transfer",
-    "light fit",
-    "compression",
-    "16-bit factors",
-)
+MERGED_LINE = "compression and 16-bit factors"
+"""Where the asset before its quantisation is not at hand."""
+
+MEANINGS = {
+    "reference": "brute force: importance sampling, shadow rays, the true BRDF",
+    "K terms": "the BRDF cut to a sum of K products",
+    "BRDF tables": "the products' factors read from tables and a texture",
+    "vertex interpolation": "light gathered at vertices, colours interpolated between them",
+    "visibility sampling": "visibility known in the bake's own directions only",
+    "SRBF basis": "transport projected on spherical radial basis functions",
+    "16-bit transfer": "coefficients as the transfer file holds them",
+    "light fit": "a sum of scattered lobes in place of the environment",
+    "compression": "clusters and ranks in place of every vertex's own coefficients",
+    "16-bit factors": "factors as the asset file holds them",
+    MERGED_LINE: "clusters, ranks and 16 bits, as the asset file holds them",
+}
+"""What each picture of the chain adds over the one before it."""
+
+LINES = tuple(name for name in MEANINGS if name != MERGED_LINE)
+MERGED_LINES = (*LINES[:-2], MERGED_LINE)
 
 
 @dataclass(frozen=True)
@@ -86,10 +94,12 @@ def validate_camera(
         chain += [
             asset_picture(asset, fitted, hits)[None]
             for asset in (validation.exact, validation.delivered)
+            if asset is not None
         ]
         advance()
+        names = MERGED_LINES if validation.exact is None else LINES
         pictures = tuple(
-            ChainPicture(name, passes) for name, passes in zip(LINES, chain, strict=True)
+            ChainPicture(name, passes) for name, passes in zip(names, chain, strict=True)
         )
         views.append(
             ValidatedView(

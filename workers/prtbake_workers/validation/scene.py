@@ -34,7 +34,8 @@ class ValidationScene:
 
     ``relight_stored(part, vertices, light)`` contracts the stored whitened coefficients of
     vertices, in scene numbering, with columns of whitened light.  ``exact`` is the asset before
-    its factors were quantised.
+    its factors were quantised, None where that is not at hand: then compression and quantisation
+    share a line of the budget.
     """
 
     scene: Scene
@@ -47,10 +48,15 @@ class ValidationScene:
         [int, Int64[I64, " verts"], Float64[F64, "coeffs columns"]],
         Float64[F64, "verts terms columns"],
     ]
-    exact: Asset
+    exact: Asset | None
     delivered: Asset
     environment: Environment
     light: LightFit
+
+    @property
+    def finest(self) -> Asset:
+        """The asset with the surfaces least rounded: the exact one where it is at hand."""
+        return self.delivered if self.exact is None else self.exact
 
     def part_of_triangle(self, triangles: Int64[I64, " n"]) -> Int64[I64, " n"]:
         """Return the part that each triangle belongs to."""

@@ -24,7 +24,7 @@ def view_terms(part: ValidationPart, wo: Float64[F64, "n 3"]) -> Float64[F64, "n
 def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64, "hits 3"]:
     """Return what the albedo textures multiply each pixel by; one where there is none."""
     albedo = np.ones((len(hits.pixels), 3))
-    asset = validation.exact
+    asset = validation.finest
     for index, part in enumerate(asset.parts):
         if part.albedo_texture is None or asset.uv is None:
             continue
@@ -37,7 +37,7 @@ def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64,
 
 def with_plain_terms(validation: ValidationScene) -> Asset:
     """Return the asset with R_view = all terms: U_view = I, phi untouched."""
-    asset = validation.exact
+    asset = validation.finest
     parts = []
     for part, true in zip(asset.parts, validation.parts, strict=True):
         start, stop = part.vertex_range

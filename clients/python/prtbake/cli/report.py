@@ -46,20 +46,33 @@ def _budget(result: Result) -> Table | None:
     budget = result.get("budget")
     if not isinstance(budget, Mapping):
         return None
-    table = Table(title="error budget", title_justify="left")
+    table = Table(
+        title="error budget: relative L2 of the validation pictures", title_justify="left"
+    )
     table.add_column("line")
     table.add_column("error", justify="right")
+    table.add_column("noise", justify="right")
     listed = budget.get("lines")
     lines = [line for line in listed if isinstance(line, Mapping)] if _is_list(listed) else []
     for line in lines:
-        table.add_row(escape(str(line.get("name", "?"))), _percent(line.get("error")))
+        table.add_row(
+            escape(str(line.get("name", "?"))),
+            _percent(line.get("error"), starred=line.get("below_noise")),
+            _percent(line.get("noise")),
+        )
     table.add_section()
     table.add_row(
         "sum of the lines", _percent(sum(_number(line.get("error")) or 0 for line in lines))
     )
     for name in ("total", "measured_total"):
         if _number(budget.get(name)) is not None:
-            table.add_row("measured total", _percent(budget[name]), style="bold")
+            starred = budget.get(f"{name}_below_noise")
+            table.add_row(
+                "measured total",
+                _percent(budget[name], starred=starred),
+                _percent(budget.get(f"{name}_noise")),
+                style="bold",
+            )
     return table
 
 
@@ -67,7 +80,10 @@ def _errors(result: Result) -> Table | None:
     errors = _numbers(result.get("errors"))
     if not errors:
         return None
-    table = Table(title="errors", title_justify="left")
+    table = Table(
+        title="each stage's own error: squared, of the transport it was given",
+        title_justify="left",
+    )
     table.add_column("of")
     table.add_column("error", justify="right")
     for name, value in errors.items():
@@ -80,7 +96,7 @@ def _costs(result: Result) -> Table | None:
     sizes = _numbers(result.get("bytes"))
     if not seconds and not sizes:
         return None
-    table = Table(title="costs", title_justify="left")
+    table = Table(title="costs: seconds of work, of all workers together", title_justify="left")
     table.add_column("stage or file")
     table.add_column("time", justify="right")
     table.add_column("size", justify="right")
@@ -127,6 +143,7 @@ def _number(value: Any) -> float | None:
     return float(value)
 
 
-def _percent(value: Any) -> str:
+def _percent(value: Any, *, starred: Any = False) -> str:
+    """Write a ratio; a star says that it is below the noise of its measurement."""
     number = _number(value)
-    return "" if number is None else f"{number:.3%}"
+    return "" if number is None else f"{number:.3%}" + (" *" if starred else "")
