@@ -28,6 +28,7 @@ from prtbake_workers.transport.hemisphere_rays import lattice
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.proposal import fit_proposal
 from prtbake_workers.transport.reference import blocks
+from prtbake_workers.transport.surface import OpaqueSurface
 
 N_AXES = 6
 """Uniform numbers at a path vertex: two for the light, one to choose a component, two for the
@@ -195,6 +196,7 @@ class _PathTracer:
         self.rotation = rotation
         self.roulette_from = roulette_from
         self.epsilon = ray_epsilon(scene.bounds)
+        self.surface = OpaqueSurface(scene, accelerator, self.epsilon)
         self.two_sided = np.array([material.two_sided for material in materials])
         self.n_rays = 0
 
@@ -274,10 +276,10 @@ class _PathTracer:
             blocked = self.accelerator.occluded(origins, directions)
             nowhere = np.zeros(0, np.int64)
             return carrying[~blocked], nowhere, (nowhere, np.zeros((0, 3)))
-        hits = self.accelerator.intersect(origins, directions)
-        hit = hits.triangles >= 0
-        barycentrics = hits.barycentrics[hit].astype(np.float64)
-        return carrying[~hit], carrying[hit], (hits.triangles[hit].astype(np.int64), barycentrics)
+        hits = self.surface.intersect(origins, directions)
+        escaped = np.ones(len(carrying), np.bool_)
+        escaped[hits.rays] = False
+        return carrying[escaped], carrying[hits.rays], (hits.triangles, hits.barycentrics)
 
     def _escaped_light(self, wi: F64, density: F64) -> Float64[F64, "paths 3"]:
         """L q / (p + q), the factor of f / q on a path that leaves the scene."""
