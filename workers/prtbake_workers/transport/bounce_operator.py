@@ -24,11 +24,11 @@ from scipy.sparse import coo_array, csr_array, vstack
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import B8, F32, F64, I32, I64, Bool, Float32, Float64, Int64
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon, self_hit_count
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
-from prtbake_workers.transport.surface import FaceSides
+from prtbake_workers.transport.surface import OpaqueSurface, SurfaceHits
 
 RAYS_PER_CHUNK = 1 << 17
 """Rays traced and sorted at a time: about 30 MB."""
@@ -48,7 +48,8 @@ class BounceBlock:
         Rays traced, those that hit anything, those of them that met the back of a one-sided
         surface.
     n_probes, n_self_hits
-        Rays traced from the bare vertex as well, and those of them that the offset saved.
+        Rays traced from the bare vertex as well, and those of them that the offset saved from
+        hitting the surface right where they start.
     epsilon
         Offset of the ray origins in scene units.
     """
@@ -95,7 +96,7 @@ def build_bounce_block(
     scene
         All parts, all of which reflect.
     accelerator
-        Of all the scene's triangles in their order.
+        Of all the scene's triangles in their order; robust, or rooms leak at their edges.
     row_range
         First and one past the last row.  Row v is vertex v.
     albedo
@@ -176,7 +177,7 @@ class _Tracer:
         self.seed = seed
         self.epsilon = epsilon
         self.pattern = lattice(n_rays)
-        self.sides = FaceSides(scene)
+        self.surface = OpaqueSurface(scene, accelerator, epsilon)
         self.n_rows = n_bounce_rows(scene, two_sided)
         reflects = np.ones(self.n_rows, np.bool_)
         if two_sided is not None:
@@ -195,35 +196,36 @@ class _Tracer:
         points, normals = self.scene.ray_points[vertices[own]], normals[own]
         origins = offset_origins(points, normals, self.epsilon)
         flat = directions.reshape(-1, 3)
-        hits = self.accelerator.intersect(np.repeat(origins, n, axis=0), flat)
-        hit = np.flatnonzero(hits.triangles >= 0)
-        triangles = hits.triangles[hit].astype(np.int64)
-        weights = np.maximum(hits.barycentrics[hit].astype(np.float64), 0.0)
-        weights /= weights.sum(axis=1, keepdims=True)
-        front = self.sides.front(triangles, weights, flat[hit])
-        reflected = front if self.two_sided is None else front | self.two_sided[triangles]
+        hits = self.surface.intersect(np.repeat(origins, n, axis=0), flat)
+        reflects = hits.front
+        if self.two_sided is not None:
+            reflects = reflects | self.two_sided[hits.triangles]
         escaped = np.ones(len(rows))
-        escaped[own] -= np.bincount(hit // n, minlength=n_own) / n
-        which = np.flatnonzero(reflected)
+        escaped[own] -= np.bincount(hits.rays // n, minlength=n_own) / n
+        which = np.flatnonzero(reflects)
+        triangles, weights = hits.triangles[which], hits.barycentrics[which]
         # 32-bit numbers throughout: scipy keeps the type, and halves the memory of the indices
-        columns = self.scene.faces[triangles[which]]
-        columns[~front[which]] += self.scene.n_vertices
-        matrices = self._matrices(
-            own[hit[which] // n].astype(np.int32), columns, triangles[which], weights[which],
-            len(rows), n,
-        )  # fmt: skip
+        columns = self.scene.faces[triangles]
+        columns[~hits.front[which]] += self.scene.n_vertices
+        row = own[hits.rays[which] // n].astype(np.int32)
         return BounceBlock(
-            matrices=matrices,
+            matrices=self._matrices(row, columns, triangles, weights, len(rows)),
             escaped=escaped,
             n_rays=len(flat),
-            n_hits=len(hit),
-            n_back_hits=len(hit) - len(which),
+            n_hits=len(hits.rays),
+            n_back_hits=len(hits.rays) - len(which),
             n_probes=n_own,
-            n_self_hits=self_hit_count(
-                self.accelerator, points, normals, directions[:, 0], self.epsilon
-            ),
+            n_self_hits=self._self_hits(points, directions[:, 0], hits),
             epsilon=self.epsilon,
         )
+
+    def _self_hits(self, points: F64, directions: Float32[F32, "own 3"], hits: SurfaceHits) -> int:
+        """Count the first rays of rows that hit where they start, but for the offset."""
+        first = np.flatnonzero(hits.rays % len(self.pattern) == 0)
+        distance = np.full(len(points), np.inf)
+        distance[hits.rays[first] // len(self.pattern)] = hits.distance[first]
+        bare = self.accelerator.intersect(points.astype(np.float32), directions).distance
+        return int(np.count_nonzero((bare <= self.epsilon) & (distance > self.epsilon)))
 
     def _directions(self, rows: I64, vertices: I64, normals: F64) -> Float32[F32, "own rays 3"]:
         """Give each row its own cosine-distributed directions."""
@@ -239,10 +241,10 @@ class _Tracer:
         return np.ascontiguousarray((local @ axes).astype(np.float32))
 
     def _matrices(
-        self, row: I32, columns: I32, triangles: I64, weights: F64, n_rows: int, n: int
+        self, row: I32, columns: I32, triangles: I64, weights: F64, n_rows: int
     ) -> tuple[Any, ...]:
         """Sum albedo times barycentrics over the rays, in float64, one matrix a channel."""
-        met = self.albedo.checked_at(triangles, weights) / n
+        met = self.albedo.checked_at(triangles, weights) / len(self.pattern)
         at = (np.repeat(row, 3), columns.ravel())
         shape = (n_rows, self.n_rows)
         return tuple(
