@@ -20,6 +20,7 @@ from prtbake_workers.basis.srbf import (
     gaussian_product_integral,
 )
 from prtbake_workers.geometry.icosphere import icosphere
+from support.quadrature import sphere_quadrature
 
 EPS = np.finfo(np.float64).eps
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
@@ -39,16 +40,6 @@ def exact_product(lam_g, lam_h, cos_angle):
             return float(4 * PI * (-(g + h)).exp()), float(-(g + h))
         sinh = (r.exp() - (-r).exp()) / 2
         return float(4 * PI * (-(g + h)).exp() * sinh / r), float(r - g - h)
-
-
-def sphere_quadrature(n):
-    """Gauss-Legendre in cos theta, even in phi: exact for polynomials of degree below 2 n."""
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    phi = 2 * np.pi * np.arange(2 * n) / (2 * n)
-    z, p = np.meshgrid(nodes, phi, indexing="ij")
-    s = np.sqrt(1 - z**2)
-    directions = np.stack([s * np.cos(p), s * np.sin(p), z], axis=-1).reshape(-1, 3)
-    return directions, np.repeat(weights * np.pi / n, 2 * n)
 
 
 CENTRE_G = np.array([0.6, 0.0, 0.8])

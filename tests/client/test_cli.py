@@ -208,6 +208,35 @@ def test_upload_and_register(run: Run, service: LiveService, tmp_path: Path) -> 
     assert "[none]" in registered.stdout
 
 
+@pytest.mark.parametrize("options", [[], ["--crease-angle", 0.5], ["--crease-angle", 180]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["register", "mesh", "FILE"],
+        ["submit", "bake", "--mesh", "FILE", "--brdf", "lambert"],
+        ["submit", "bake", "--mesh", "builtin:teapot:5", "--brdf", "lambert"],
+    ],
+    ids=["register", "submit", "built-in"],
+)
+def test_the_crease_angle_goes_into_the_registration(
+    run: Run, service: LiveService, tmp_path: Path, words: list[str], options: list[object]
+) -> None:
+    path = tmp_path / "ball.obj"
+    # a registration that the service knows would start no job
+    path.write_text(f"# {tmp_path}\nv 0 0 0\n")
+    seen = []
+
+    def answer(job_id: str) -> None:
+        seen.append(service.backend.jobs.get(job_id).request["registration"]["crease_angle_deg"])
+        canonical = service.backend.blobs.put_bytes(b"mesh")
+        service.succeed(job_id, {"canonical": canonical, "understood": {}})
+
+    service.answer_next("register", answer)
+    result = run(*[path if word == "FILE" else word for word in words], *options)
+    assert result.exit_code == 0, result.output
+    assert seen == [options[1] if options else None]
+
+
 def test_estimate(run: Run, service: LiveService, environment: str) -> None:
     estimate = {
         "plan": {},
@@ -236,6 +265,34 @@ def test_estimate(run: Run, service: LiveService, environment: str) -> None:
         (["submit", "bake", "--mesh", "builtin:cow", "--brdf", "lambert"], Exit.usage, "/name"),
         (["submit", "bake", "--mesh", "x", "--brdf", "lambert,albedo=2"], Exit.usage, "albedo"),
         (["submit", "bake", "--mesh", "x", "--brdf", "{"], Exit.usage, "not JSON"),
+        (
+            [
+                "submit",
+                "bake",
+                "--mesh",
+                "builtin:teapot",
+                "--brdf",
+                "lambert",
+                "--crease-angle",
+                "181",
+            ],
+            Exit.usage,
+            "/crease_angle_deg",
+        ),
+        (
+            [
+                "submit",
+                "bake",
+                "--mesh",
+                f"mesh-{16 * '0'}",
+                "--brdf",
+                "lambert",
+                "--crease-angle",
+                "9",
+            ],
+            Exit.usage,
+            "--crease-angle",
+        ),
         (["submit", "fit-light"], Exit.usage, "--environment"),
         (["ls", "--state", "asleep"], Exit.refused, "state"),
     ],

@@ -55,6 +55,98 @@ def test_ply_texture_coordinates_are_kept():
     assert raw.uv[raw.faces[0]].tolist() == [[0, 0], [1, 0], [0, 0.25]]
 
 
+def with_normals(header, binary, normals, *, component=5126, **view):
+    """Give the triangle of `triangle_gltf` normals, packed as they come."""
+    packed = np.ascontiguousarray(normals).tobytes()
+    binary += b"\0" * (-len(binary) % 4)
+    header["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = len(header["accessors"])
+    header["accessors"].append(
+        {"bufferView": 3, "componentType": component, "count": 3, "type": "VEC3"}
+    )
+    header["bufferViews"].append(
+        {"buffer": 0, "byteOffset": len(binary), "byteLength": len(packed), **view}
+    )
+    header["buffers"][0]["byteLength"] = len(binary) + len(packed)
+    return header, binary + packed
+
+
+LEANING = np.array([[0, 0, 1], [0, 0.6, 0.8], [0.6, 0, 0.8]], np.float32)
+
+
+def test_glb_normals_are_read(pack_glb, triangle_gltf):
+    raw = read_foreign(pack_glb(*triangle_gltf), "glb", LIMITS)
+    assert raw.normals is None
+    raw = read_foreign(pack_glb(*with_normals(*triangle_gltf, LEANING)), "glb", LIMITS)
+    assert raw.normals.tolist() == LEANING.astype(np.float64).tolist()
+
+
+@pytest.mark.parametrize(
+    ("component", "dtype", "columns", "view"),
+    [(5120, np.int8, 4, {"byteStride": 4}), (5122, np.int16, 4, {"byteStride": 8}),
+     (5122, np.int16, 3, {})],
+)  # fmt: skip
+def test_glb_normals_in_whole_numbers_have_the_same_direction(
+    pack_glb, triangle_gltf, component, dtype, columns, view
+):
+    whole = np.zeros((3, columns), dtype)
+    whole[:, :3] = np.round(LEANING * np.iinfo(dtype).max)
+    header, binary = with_normals(*triangle_gltf, whole, component=component, **view)
+    raw = read_foreign(pack_glb(header, binary), "glb", LIMITS)
+    units = raw.normals / np.linalg.norm(raw.normals, axis=1, keepdims=True)
+    assert units == pytest.approx(LEANING, abs=0.6 / np.iinfo(dtype).max)
+
+
+@pytest.mark.parametrize(
+    "linear",
+    [np.diag([2.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0]), np.diag([1e9, 1e9, 1e9]),
+     np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.25], [0.0, 0.0, 3.0]]), -np.eye(3)],
+    ids=["stretched", "mirrored", "large", "sheared", "inverted"],
+)  # fmt: skip
+def test_glb_normals_stay_perpendicular_under_a_transform(pack_glb, triangle_gltf, linear):
+    """A plane's normal is perpendicular to it before and after, and on its outside."""
+    header, binary = with_normals(*triangle_gltf, np.tile(np.float32([0, 0, 1]), (3, 1)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = linear
+    header["nodes"] = [{"mesh": 0, "matrix": matrix.T.ravel().tolist()}]
+    raw = read_foreign(pack_glb(header, binary), "glb", LIMITS)
+    a, b, c = raw.positions[raw.faces[0]]
+    normal = np.cross(b - a, c - a)
+    given = raw.normals[0] / np.linalg.norm(raw.normals[0])
+    assert given == pytest.approx(normal / np.linalg.norm(normal), abs=1e-7)
+
+
+def test_glb_transforms_of_normals_are_not_those_of_points(pack_glb, triangle_gltf):
+    """The negative twin: a leaning normal under a stretch turns the other way."""
+    header, binary = with_normals(*triangle_gltf, np.tile(np.float32([0.6, 0, 0.8]), (3, 1)))
+    header["nodes"] = [{"mesh": 0, "scale": [4, 1, 1]}]
+    normal = read_foreign(pack_glb(header, binary), "glb", LIMITS).normals[0]
+    assert normal[0] / normal[2] == pytest.approx(0.6 / 0.8 / 4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_normals_that_are_not_finite_become_zero(pack_glb, triangle_gltf, bad):
+    normals = LEANING.copy()
+    normals[1, 2] = bad
+    raw = read_foreign(pack_glb(*with_normals(*triangle_gltf, normals)), "glb", LIMITS)
+    assert raw.normals[1].tolist() == [0, 0, 0]
+    assert raw.normals[0].tolist() == [0, 0, 1]
+
+
+def test_parts_without_normals_get_nan(pack_glb, triangle_gltf):
+    header, binary = with_normals(*triangle_gltf, LEANING)
+    header["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "indices": 2}]})
+    header["nodes"] = [{"mesh": 0}, {"mesh": 1, "translation": [0, 0, 5]}]
+    header["scenes"][0]["nodes"] = [0, 1]
+    raw = read_foreign(pack_glb(header, binary), "glb", LIMITS)
+    assert np.isnan(raw.normals).all(axis=1).tolist() == (raw.positions[:, 2] == 5.0).tolist()
+    assert np.isnan(raw.normals).sum() == 9
+
+
+def test_stl_normals_of_facets_are_not_normals_of_vertices():
+    facet = "facet normal 0 1 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    assert read_foreign(f"solid x\n{facet}endsolid x\n".encode(), "stl", LIMITS).normals is None
+
+
 def test_glb_texture_coordinates_count_from_below(pack_glb, triangle_gltf):
     raw = read_foreign(pack_glb(*triangle_gltf), "glb", LIMITS)
     assert same_triangle(raw)

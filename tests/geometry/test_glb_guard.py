@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.errors import MeshError, TooLarge
-from prtbake_workers.geometry.glb_guard import UV_ATTRIBUTE, guard_glb
+from prtbake_workers.geometry.glb_guard import NORMAL_ATTRIBUTE, UV_ATTRIBUTE, guard_glb
 from prtbake_workers.geometry.raw_mesh import MeshLimits
 
 LIMITS = MeshLimits()
@@ -40,6 +40,44 @@ def test_only_geometry_is_kept(pack_glb, triangle_gltf):
     assert out["nodes"] == [{"mesh": 0, "translation": [1, 2, 3], "name": "node0"}]
     primitive = out["meshes"][0]["primitives"][0]
     assert primitive["attributes"] == {"POSITION": 0, UV_ATTRIBUTE: 1}
+
+
+def with_normals(triangle_gltf, **accessor):
+    """Positions again serve as normals."""
+    header, binary = copy.deepcopy(triangle_gltf)
+    header["accessors"].append(
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", **accessor}
+    )
+    header["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = 3
+    return header, binary
+
+
+def test_normals_pass_as_an_attribute_of_our_own(pack_glb, triangle_gltf):
+    kept, warnings = guard_glb(pack_glb(*with_normals(triangle_gltf)), LIMITS)
+    attributes = header_of(kept)["meshes"][0]["primitives"][0]["attributes"]
+    assert attributes == {"POSITION": 0, UV_ATTRIBUTE: 1, NORMAL_ATTRIBUTE: 3}
+    assert warnings == []
+
+
+@pytest.mark.parametrize(
+    "accessor", [{"componentType": 5121}, {"type": "VEC4"}, {"sparse": {"count": 1}}]
+)
+def test_normals_that_are_not_read_are_left_out_and_said(pack_glb, triangle_gltf, accessor):
+    kept, warnings = guard_glb(pack_glb(*with_normals(triangle_gltf, **accessor)), LIMITS)
+    attributes = header_of(kept)["meshes"][0]["primitives"][0]["attributes"]
+    assert NORMAL_ATTRIBUTE not in attributes
+    assert warnings == [
+        "meshes[0].primitives[0]: NORMAL is packed in a way that is not read: computed"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("accessor", "message"),
+    [({"count": 4}, "beyond the data"), ({"bufferView": 9}, "points nowhere")],
+)
+def test_normals_beyond_the_data_are_refused(pack_glb, triangle_gltf, accessor, message):
+    with pytest.raises(MeshError, match=message):
+        guard_glb(pack_glb(*with_normals(triangle_gltf, **accessor)), LIMITS)
 
 
 def test_unused_accessors_are_blanked(pack_glb, triangle_gltf):

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prtbake_storage.errors import InputError, MeshError, PrtError
+from prtbake_storage.errors import InputError, MeshError, PrtError, TooLarge
 from prtbake_workers.geometry.loading import load_mesh, recognise_format
+from prtbake_workers.geometry.raw_mesh import MeshLimits
 
 STL_TEXT = b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid x\n"
 OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
@@ -16,6 +17,13 @@ PLY = (
     b"ply\nformat ascii 1.0\ncomment TextureFile secret.png\nelement vertex 3\nproperty float x\nproperty float y\n"
     b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
     b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+)
+
+PLY_WITH_NORMALS = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"property float nx\nproperty float ny\nproperty float nz\nproperty float s\nproperty float t\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0 0 0 1 0 0\n1 0 0 0 0 1 1 0\n0 1 0 0 0 1 0 1\n3 0 1 2\n"
 )
 
 
@@ -26,6 +34,14 @@ def test_cube_is_outward_and_closed(cube_obj):
     assert report.flipped_faces == 0
     assert mesh.normals == pytest.approx((2 * mesh.positions - 1) / np.sqrt(3))
     assert report.extents == [1.0, 1.0, 1.0]
+
+
+def test_creases_split_the_cube_within_the_limits(cube_obj):
+    mesh, report = load_mesh(cube_obj, "obj", crease_angle_deg=30.0, limits=MeshLimits(vertices=24))
+    assert (mesh.n_vertices, report.crease_vertices) == (24, 16)
+    assert (np.sort(np.abs(mesh.normals), axis=1) == [0.0, 0.0, 1.0]).all()
+    with pytest.raises(TooLarge, match="24 vertices; the limit is 23"):
+        load_mesh(cube_obj, "obj", crease_angle_deg=30.0, limits=MeshLimits(vertices=23))
 
 
 @pytest.mark.parametrize(
@@ -105,6 +121,8 @@ def test_cut_and_overwritten_files_never_raise_anything_else(data):
                 (PLY, "ply"),
                 (STL_TEXT, "stl"),
                 (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "obj"),
+                (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\n", "obj"),
+                (PLY_WITH_NORMALS, "ply"),
             ]
         )
     )
@@ -112,8 +130,9 @@ def test_cut_and_overwritten_files_never_raise_anything_else(data):
     for _ in range(data.draw(st.integers(0, 3))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
     raw = raw[: data.draw(st.integers(0, len(raw)))]
+    crease_angle_deg = data.draw(st.sampled_from([None, 30.0]))
     try:
-        mesh, _ = load_mesh(bytes(raw), format)
+        mesh, _ = load_mesh(bytes(raw), format, crease_angle_deg=crease_angle_deg)
     except PrtError:
         return
     assert np.isfinite(mesh.normals).all()

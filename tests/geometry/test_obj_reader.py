@@ -48,6 +48,66 @@ def test_corner_without_texture_coordinate_gets_nan():
     assert raw.uv[raw.faces[0, 0]].tolist() == [0.5, 0.5]
 
 
+NORMALS = "vn 0 0 1\nvn 0 1 1\nvn 0 0 -2\n"
+
+
+def test_vertices_split_where_normals_differ():
+    raw = read(TRIANGLE + "v 1 1 0\n" + NORMALS + "f 1//1 2//1 3//1\nf 2//2 4//3 3//1\n")
+    assert raw.vertex_labels.tolist() == [0, 1, 1, 2, 3]
+    assert raw.normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 1, 1], [0, 0, 1], [0, 0, -2]]
+    assert raw.faces.tolist() == [[0, 1, 3], [2, 4, 3]]
+    assert raw.uv is None
+    # relative ones count from their line
+    again = read(TRIANGLE + "v 1 1 0\n" + NORMALS + "f 1//-3 2//-3 3//-3\nf 2//-2 4//-1 3//-3\n")
+    assert again.normals.tolist() == raw.normals.tolist()
+
+
+def test_position_uv_and_normal_each_split():
+    text = TRIANGLE + NORMALS + "vt 0 0\nvt 1 0\nf 1/1/1 2/1/1 3/1/1\nf 1/2/1 3/1/2 2/1/1\n"
+    raw = read(text)
+    assert raw.vertex_labels.tolist() == [0, 0, 1, 2, 2]
+    assert raw.faces.tolist() == [[0, 2, 3], [1, 4, 2]]
+    assert raw.uv[:, 0].tolist() == [0, 1, 0, 0, 0]
+    assert raw.normals[:, 1].tolist() == [0, 0, 0, 0, 1]
+
+
+def test_normals_that_no_corner_names_split_nothing():
+    plain = read(TRIANGLE + "f 1 2 3\n")
+    for text in (TRIANGLE + NORMALS + "f 1 2 3\n", TRIANGLE + NORMALS + "f 1// 2// 3//\n"):
+        raw = read(text)
+        assert raw.normals is None
+        assert raw.positions.tobytes() == plain.positions.tobytes()
+        assert raw.faces.tobytes() == plain.faces.tobytes()
+
+
+def test_corner_without_normal_gets_nan():
+    raw = read(TRIANGLE + NORMALS + "f 1//1 2 3//1\n")
+    assert np.isnan(raw.normals[1]).all()
+    assert raw.normals[[0, 2]].tolist() == [[0, 0, 1], [0, 0, 1]]
+
+
+@pytest.mark.parametrize("line", ["vn 0 1", "vn", "vn a b c", "vn 0 nan 1", "vn 0 1e999 0"])
+def test_normals_that_cannot_be_read_are_zero_and_keep_the_numbering(line):
+    raw = read(TRIANGLE + line + "\n" + NORMALS + "f 1//1 2//2 3//3\n")
+    assert raw.normals.tolist() == [[0, 0, 0], [0, 0, 1], [0, 1, 1]]
+    assert raw.warnings == []
+
+
+@pytest.mark.parametrize("index", ["4", "-4", "0", "99999"])
+def test_normals_that_point_nowhere_are_none_and_said(index):
+    raw = read(TRIANGLE + NORMALS + f"f 1//1 2//{index} 3//1\n")
+    assert np.isnan(raw.normals[1]).all()
+    assert raw.warnings == [
+        "1 corners name a normal that the file does not hold, the first on line 7: computed"
+    ]
+
+
+def test_normals_dropped_by_a_tool_leave_their_indices():
+    raw = read(TRIANGLE + "f 1//7 2//8 3//9\n")
+    assert raw.normals is None
+    assert raw.warnings[0].startswith("3 corners name a normal")
+
+
 def test_unused_vertices_stay_for_the_repair_to_count():
     raw = read("v 9 9 9\n" + TRIANGLE + "vt 0 0\nf 2/1 3/1 4/1\n")
     assert len(raw.positions) == 4

@@ -6,14 +6,18 @@ import pytest
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
+from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.ray_offset import (
     INSET,
     inset_boundary,
     offset_origins,
     ray_epsilon,
+    ray_sides,
     self_hit_count,
 )
+from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
 
 SCALES = [1e-4, 1.0, 1e4]
 
@@ -150,9 +154,14 @@ def test_no_ray_leaves_a_room_of_separate_walls(rng, scale):
     assert (leaked(scene.positions) > 0.05) == (scale < 1e4)
 
 
+def inset(positions, faces, normals):
+    part = np.zeros(len(positions), np.int64)
+    return inset_boundary(positions, faces, normals, part, 1e-3)
+
+
 def test_only_open_edges_are_moved_and_inwards():
     grid = grid_mesh(6, 6)
-    moved = inset_boundary(grid.positions, grid.faces, grid.normals, 1e-3)
+    moved = inset(grid.positions, grid.faces, grid.normals)
     way = moved - grid.positions
     edge = (np.abs(grid.positions[:, [0, 2]]) == 0.5).any(axis=1)
     assert np.linalg.norm(way[edge], axis=1) == pytest.approx(1e-3, rel=1e-9)
@@ -160,7 +169,7 @@ def test_only_open_edges_are_moved_and_inwards():
     assert (np.abs(moved[edge][:, [0, 2]]).max(axis=1) < 0.5).all()
     assert not way[:, 1].any()
     ball = sphere_mesh(2)
-    closed = inset_boundary(ball.positions, ball.faces, ball.normals, 1e-3)
+    closed = inset(ball.positions, ball.faces, ball.normals)
     assert closed.tobytes() == ball.positions.tobytes()
 
 
@@ -169,8 +178,98 @@ def test_the_rim_of_a_dome_is_not_moved_into_it():
     ball = sphere_mesh(3)
     centred = ball.positions - [0.0, 1.0, 0.0]
     dome = ball.faces[(centred[ball.faces][:, :, 1] >= -1e-9).all(axis=1)]
-    moved = inset_boundary(centred, dome, ball.normals, 1e-3) - centred
+    moved = inset(centred, dome, ball.normals) - centred
     height = (moved * ball.normals).sum(axis=1)
     assert np.linalg.norm(moved, axis=1).max() == pytest.approx(1e-3, rel=1e-9)
     assert height.min() > -1e-12
     assert INSET < 1.0
+
+
+CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+OUTWARD = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def box(*, inward=False, positions=CORNERS, crease_angle_deg=30.0):
+    faces = OUTWARD[:, ::-1] if inward else OUTWARD
+    raw = RawMesh(positions, np.ascontiguousarray(faces))
+    return repair(raw, "test", orient_outward=False, crease_angle_deg=crease_angle_deg)[0]
+
+
+def sides_of(mesh):
+    return ray_sides(mesh.positions, mesh.faces, mesh.normals, np.zeros(mesh.n_vertices, np.int64))
+
+
+@pytest.mark.parametrize("inward", [False, True])
+def test_the_sides_of_a_split_corner_lie_between_its_normals(inward):
+    mesh = box(inward=inward)
+    diagonals = (2.0 * mesh.positions - 1.0) / np.sqrt(3.0)
+    assert sides_of(mesh) == pytest.approx(-diagonals if inward else diagonals, abs=1e-15)
+    # what the normal would be without the split
+    smooth = box(inward=inward, crease_angle_deg=180.0)
+    place = (mesh.positions[:, None] == smooth.positions).all(axis=2).argmax(axis=1)
+    assert sides_of(mesh) == pytest.approx(smooth.normals[place], abs=1e-15)
+
+
+@pytest.mark.parametrize("mesh", [sphere_mesh(2), teapot(4)], ids=["sphere", "teapot"])
+def test_without_a_split_the_sides_are_the_normals_to_the_last_bit(mesh):
+    """In the teapot handle and body touch at one point, by no edge: each keeps its own."""
+    assert sides_of(mesh).tobytes() == mesh.normals.tobytes()
+
+
+def test_a_uv_seam_is_no_split():
+    """Vertices that differ in UV alone share their normal, and so their side, to the last bit."""
+    mesh = sphere_mesh(1)
+    faces = mesh.faces + np.int32(mesh.n_vertices) * (np.arange(mesh.n_faces)[:, None] % 2 == 0)
+    doubled = Mesh(
+        np.tile(mesh.positions, (2, 1)), faces.astype(np.int32), np.tile(mesh.normals, (2, 1))
+    )
+    assert sides_of(doubled).tobytes() == doubled.normals.tobytes()
+
+
+def test_parts_that_touch_keep_their_own_sides():
+    """A box on a plane whose vertices it meets: the plane's rays leave upwards."""
+    mesh, plane = box(), grid_mesh(2, 2)
+    plane = Mesh(plane.positions + np.array([0.5, 0.0, 0.5]), plane.faces, plane.normals)
+    scene = Scene.from_parts([mesh, plane])
+    assert (scene.ray_sides[24:] == [0.0, 1.0, 0.0]).all()
+    assert (scene.ray_sides[:24] == sides_of(mesh)).all()
+
+
+def test_a_sheet_of_two_sides_keeps_its_normals():
+    """Front and back face each other's ways: there is no direction between them."""
+    up = grid_mesh(2, 2)
+    positions = np.tile(up.positions, (2, 1))
+    faces = np.concatenate([up.faces, up.faces[:, ::-1] + up.n_vertices]).astype(np.int32)
+    normals = np.repeat([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]], up.n_vertices, axis=0)
+    assert (sides_of(Mesh(positions, faces, normals)) == normals).all()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_no_light_leaks_into_a_closed_room_of_flat_walls(rng, scale):
+    """Floor, walls and ceiling meet at vertices split three ways; every ray must end at a wall."""
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    for positions in (CORNERS, CORNERS @ turn):
+        inward = np.linalg.det(turn) > 0.0 or positions is CORNERS
+        room = box(inward=inward, positions=scale * (positions + 0.3))
+        accelerator = Accelerator(room.positions, room.faces, robust=True)
+        points, normals, directions = outward_rays(room, rng, per_vertex=300)
+        epsilon = ray_epsilon(room.bounds)
+        sides = np.repeat(sides_of(room), 300, axis=0)
+        assert accelerator.occluded(offset_origins(points, sides, epsilon), directions).all()
+        # along its own normal a ray starts in the planes of the walls, and passes some of them
+        passing = ~accelerator.occluded(offset_origins(points, normals, epsilon), directions)
+        assert positions is CORNERS or passing.mean() > 0.05
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_box_of_flat_sides_never_shades_itself(rng, scale):
+    mesh = box(positions=scale * (CORNERS + 0.3))
+    accelerator = Accelerator(mesh.positions, mesh.faces)
+    points, _, directions = outward_rays(mesh, rng, per_vertex=100)
+    sides = np.repeat(sides_of(mesh), 100, axis=0)
+    assert not accelerator.occluded(
+        offset_origins(points, sides, ray_epsilon(mesh.bounds)), directions
+    ).any()

@@ -8,7 +8,7 @@ import pytest
 from prtbake_storage.errors import MeshError
 from prtbake_workers.geometry.icosphere import icosphere, icosphere_faces
 from prtbake_workers.geometry.raw_mesh import RawMesh
-from prtbake_workers.geometry.repair import DEGENERATE_HEIGHT, group_rows, repair
+from prtbake_workers.geometry.repair import DEGENERATE_HEIGHT, repair
 
 SPHERE = icosphere(1)
 FACES = icosphere_faces(1).astype(np.int64)
@@ -162,12 +162,3 @@ def test_missing_texture_coordinates_are_counted():
     assert any("texture coordinate" in warning for warning in report.warnings)
     mesh, _ = mend(SPHERE, FACES, np.full((42, 2), np.nan))
     assert mesh.uv is None
-
-
-def test_group_rows_numbers_by_first_appearance(rng):
-    rows = rng.integers(0, 3, (200, 3)).astype(float)
-    group, first = group_rows(rows)
-    assert (rows[first][group] == rows).all()
-    assert len(np.unique(rows, axis=0)) == len(first)
-    assert (np.diff(first) > 0).all()
-    assert (group[first] == np.arange(len(first))).all()

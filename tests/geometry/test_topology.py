@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from prtbake_workers.geometry.icosphere import icosphere, icosphere_faces
-from prtbake_workers.geometry.topology import consistent_winding, count_components, find_edges
+from prtbake_workers.geometry.topology import (
+    around_edges,
+    connected,
+    consistent_winding,
+    corners_that_meet,
+    count_components,
+    find_edges,
+)
 
 POINTS = icosphere(2)
 FACES = icosphere_faces(2).astype(np.int64)
@@ -98,3 +105,37 @@ def test_two_cubes_on_one_edge_both_turn_outward():
     winding = consistent_winding(points, faces, edges, outward=True)
     assert winding.n_turned_outward == 2
     assert winding.flip.all()
+
+
+def test_around_edges_goes_round_once():
+    fan = np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]])
+    edges = find_edges(fan)
+    halves, following = around_edges(edges)
+    assert sorted(halves) == sorted(following) == list(range(9))
+    after = dict(zip(halves.tolist(), following.tolist(), strict=True))
+    # halves 0, 3 and 6 share the edge; the others have one of their own
+    assert [after[0], after[3], after[6]] == [3, 6, 0]
+    assert all(after[half] == half for half in (1, 2, 4, 5, 7, 8))
+    # with a key the order is the key's
+    key = np.zeros(9)
+    key[[0, 3, 6]] = [2.0, 3.0, 1.0]
+    after = dict(zip(*(side.tolist() for side in around_edges(edges, key)), strict=True))
+    assert [after[6], after[0], after[3]] == [0, 3, 6]
+
+
+@pytest.mark.parametrize("turn_over", [False, True])
+def test_corners_meet_at_both_ends_whatever_the_winding(turn_over):
+    """The corners paired lie at one vertex, at each end of every edge."""
+    faces = FACES.copy()
+    if turn_over:
+        faces[::3] = faces[::3, ::-1]
+    edges = find_edges(faces)
+    assert edges.clashing.any() == turn_over
+    left, right = corners_that_meet(edges, edges.pairs[:, 0], edges.pairs[:, 1])
+    assert (faces.ravel()[left] == faces.ravel()[right]).all()
+    assert (left // 3 != right // 3).all()
+    # all corners at a vertex of a closed surface hang together, and no others
+    component = connected(faces.size, left, right)
+    assert len(np.unique(component)) == len(POINTS)
+    assert (component <= np.arange(faces.size)).all()
+    assert (faces.ravel()[component] == faces.ravel()).all()

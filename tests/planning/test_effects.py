@@ -13,7 +13,9 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.mesh import Mesh, vertex_normals
 from prtbake_workers.geometry.primitives import sphere_mesh
+from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.planning.effects import convexity_defect, decide_effects, probe_occlusion
@@ -103,6 +105,24 @@ def test_vertices_on_the_hull_do_not_make_a_mesh_convex(mesh):
     assert convexity_defect(mesh) > 0.1
     by_name, _, _ = decisions([mesh], watertight=True)
     assert by_name["self_shadowing"].taken
+
+
+@pytest.mark.parametrize(
+    "make", [trimesh.creation.box, lambda: extruded(L_SHAPE)], ids=["box", "L"]
+)
+def test_vertices_split_along_creases_change_no_decision(make):
+    """Convexity and closedness are of the surface, however many vertices lie at a position."""
+    shape = make()
+    positions = np.asarray(getattr(shape, "vertices", getattr(shape, "positions", None)), float)
+    raw = RawMesh(positions, np.asarray(shape.faces, np.int64))
+    found = {}
+    for angle in (180.0, 30.0):
+        mesh, report = repair(raw, "test", orient_outward=True, crease_angle_deg=angle)
+        assert (report.crease_vertices > 0) == (angle == 30.0)
+        by_name, _, _ = decisions([mesh], watertight=report.watertight)
+        found[angle] = (convexity_defect(mesh), by_name["self_shadowing"].taken)
+    assert found[180.0] == found[30.0]
+    assert found[30.0][1] == (found[30.0][0] > 1e-6)
 
 
 def test_a_small_object_on_a_wide_plane_keeps_its_shadows():

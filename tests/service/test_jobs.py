@@ -1,3 +1,4 @@
+import hashlib
 import threading
 import time
 from datetime import UTC, datetime, timedelta
@@ -7,7 +8,9 @@ import pytest
 
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import Job, JobError, JobPage, Progress
+from prtbake_storage.queue.memo import Memory, recall, remember
 from prtbake_storage.queue.reconcile import reconcile_once
+from prtbake_storage.queue.stages import Measured
 
 PATIENT = {"Prefer": "wait=30"}
 
@@ -172,18 +175,26 @@ def test_a_success_is_not_retried(service: LiveService, http, submit) -> None:
     assert http.post(f"/v1/jobs/{job['id']}/retry").status_code == 409
 
 
-def test_delete_removes_what_nothing_else_needs(service: LiveService, http, submit) -> None:
-    job, twin = submit(), submit()
+def test_delete_leaves_the_files_that_another_job_recalled(
+    service: LiveService, http, submit
+) -> None:
+    job, other = submit(), submit()
     assert http.delete(f"/v1/jobs/{job['id']}").status_code == 409
-    service.succeed(job["id"], {}, own_bin=b"mine alone", both_bin=b"shared")
-    service.succeed(twin["id"], {}, both_bin=b"shared")
-    files = {a.name: a.sha256 for a in service.backend.jobs.get(job["id"]).artefacts}
+    service.succeed(job["id"], {}, shared_bin=b"shared")
+    # the other job recalls the task that made the file: no row says so before its end
+    service.begin(other["id"])
+    blobs = service.backend.blobs
+    (artefact,) = service.backend.jobs.get(job["id"]).artefacts
+    key = hashlib.sha256(job["id"].encode()).hexdigest()
+    remember(blobs, key, Memory({"file": artefact.sha256}, Measured(1.0, 1)))
+    recalled = recall(blobs, key)
+    assert recalled is not None
+
     assert http.delete(f"/v1/jobs/{job['id']}").status_code == 204
     assert http.get(f"/v1/jobs/{job['id']}").status_code == 404
-    assert not service.backend.blobs.exists(files["own.bin"])
-    assert service.backend.blobs.exists(files["both.bin"])
-    assert http.get(f"/v1/jobs/{twin['id']}/artefacts/both.bin").content == b"shared"
+    assert http.get(f"/v1/jobs/{job['id']}/artefacts/shared.bin").status_code == 404
     assert http.delete(f"/v1/jobs/{job['id']}").status_code == 404
+    assert blobs.read_bytes(recalled.result["file"]) == b"shared"
 
 
 def test_an_id_can_be_used_again_after_delete(service: LiveService, http, environment: str) -> None:

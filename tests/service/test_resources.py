@@ -105,3 +105,17 @@ def test_lists_are_paged(http: httpx.Client) -> None:
             break
     assert len(seen) == len(set(seen)) >= 3
     assert all(name.startswith("mesh-") for name in seen)
+
+
+def test_each_registration_has_a_body_of_its_own_type(http: httpx.Client) -> None:
+    paths = http.get("/v1/openapi.json").json()["paths"]
+    for noun, body in (
+        ("meshes", "MeshRegistration"),
+        ("brdfs", "BrdfRegistration"),
+        ("environments", "EnvironmentRegistration"),
+    ):
+        operation = paths[f"/v1/{noun}"]["post"]
+        schema = operation["requestBody"]["content"]["application/json"]["schema"]
+        assert schema == {"$ref": f"#/components/schemas/{body}"}
+        assert [parameter["name"] for parameter in operation["parameters"]] == ["prefer"]
+        assert {"200", "201", "202"} <= set(operation["responses"])

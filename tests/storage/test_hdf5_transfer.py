@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
+from prtbake_storage.decode.quantise import quantise
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import schema
 from prtbake_storage.hdf5.transfer import (
@@ -13,7 +14,6 @@ from prtbake_storage.hdf5.transfer import (
     TransferPart,
     join_transfer,
     open_transfer,
-    quantise_transfer,
     write_transfer_tile,
 )
 
@@ -59,8 +59,10 @@ class Scene:
             for start in range(0, len(coefficients), size):
                 block = slice(start, start + size)
                 path = folder / f"tile-{size}-{index}-{start}.h5"
+                packed = quantise(coefficients[block], (2,))
                 write_transfer_tile(
-                    path, coefficients[block], signal_energy=self.signal[index][block],
+                    path, packed.values, scale=packed.scale[:, :, 0],
+                    signal_energy=self.signal[index][block],
                     residual_energy=self.residual[index][block],
                 )  # fmt: skip
                 paths[-1].append(path)
@@ -102,16 +104,17 @@ def test_the_number_of_tiles_does_not_change_a_byte(
     assert files[0] == files[1] == files[2]
 
 
-def test_int16_tiles_pass_as_they_are(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_a_tile_is_int16_with_a_scale_a_vertex_and_term(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
     scene = Scene(rng)
     exact = scene.coefficients[1]
-    values, scale = quantise_transfer(exact)
+    packed = quantise(exact, (2,))
     energies = {"signal_energy": scene.signal[1], "residual_energy": scene.residual[1]}
-    write_transfer_tile(tmp_path / "a.h5", values, scale=scale, **energies)
-    write_transfer_tile(tmp_path / "b.h5", exact, **energies)
-    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-    with pytest.raises(ValueError, match="int16"):
-        write_transfer_tile(tmp_path / "c.h5", exact, scale=scale, **energies)
+    for values, scale in ((exact, packed.scale[:, :, 0]), (packed.values, packed.scale)):
+        with pytest.raises(ValueError, match="int16"):
+            write_transfer_tile(tmp_path / "a.h5", values, scale=scale, **energies)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_tiles_that_do_not_fit_are_refused(rng: np.random.Generator, tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """The bake against its plain twin, closed forms and itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
+from prtbake_workers.geometry.raw_mesh import RawMesh
+from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport import bake as bake_module
 from prtbake_workers.transport.bake import bake_block
@@ -283,6 +287,46 @@ def test_closed_mesh_seen_from_inside_is_black(diffuse, projection, robust, leak
     open_sky = bake_block(scene, None, (0, ball.n_vertices), **settings)
     assert block.signal_energy.sum() <= leak * open_sky.signal_energy.sum()
     assert block.n_rays > 0
+
+
+def room(*, open_top=False):
+    """A box seen from within, its vertices split along its edges; turned off the axes."""
+    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    faces = np.array(
+        [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+         [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [2, 3, 7], [2, 7, 6]]
+    )[:, ::-1]  # fmt: skip
+    turn, _ = np.linalg.qr(np.array([[1.0, 0.3, 0.2], [-0.3, 1.0, 0.4], [0.1, -0.4, 1.0]]))
+    positions = corners @ (turn * np.sign(np.linalg.det(turn)))
+    raw = RawMesh(positions, np.ascontiguousarray(faces[: 10 if open_top else 12]))
+    return repair(raw, "test", orient_outward=False, crease_angle_deg=30.0)[0]
+
+
+def test_a_closed_room_of_flat_walls_is_black(diffuse, projection):
+    """Its vertices are split: rays along their own normals would start in the next wall's plane."""
+    scene = Scene.from_parts([room()])
+    assert scene.n_vertices == 24
+    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
+    settings = {"factorisation": diffuse, "projection": projection, "directions": CUBE}
+    assert not bake_block(scene, accelerator, (0, 24), **settings).signal_energy.any()
+    # the negative twin: by the normals, light passes the walls
+    leaking = replace(scene)
+    leaking.__dict__["ray_sides"] = scene.normals
+    open_sky = bake_block(scene, None, (0, 24), **settings).signal_energy.sum()
+    leak = bake_block(leaking, accelerator, (0, 24), **settings).signal_energy.sum()
+    assert leak > 0.05 * open_sky
+
+
+def test_split_vertices_bake_as_in_the_plain_twin(glossy, projection):
+    scene = Scene.from_parts([room(open_top=True)])
+    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
+    settings = {"factorisation": glossy, "projection": projection, "directions": CUBE}
+    fast = bake_block(scene, accelerator, (0, scene.n_vertices), **settings)
+    slow, signal, _ = bake_dense(scene, accelerator, (0, scene.n_vertices), **settings)
+    atol = 2e-5 * np.abs(slow).max()
+    np.testing.assert_allclose(fast.coefficients, slow, rtol=0, atol=atol)
+    # the copies of a vertex see the sky from one point, each above its own wall
+    assert (signal > 0.0).sum() > 8
 
 
 def test_vertices_without_normal_are_zero_and_counted(scene, accelerator, glossy, projection):

@@ -80,7 +80,7 @@ def plain_twin(scene, row, albedo, n_rays, seed):
     tracer = BruteForce(scene.positions, scene.faces)
     local = cosine_directions(shifted(lattice(n_rays), shifts(seed, row, row + 1, 2)))[0]
     result = np.zeros((albedo.n_channels, scene.n_vertices))
-    origin = offset_origins(scene.ray_points[[row]], scene.normals[[row]], epsilon)
+    origin = offset_origins(scene.ray_points[[row]], scene.ray_sides[[row]], epsilon)
     for ray in local @ scene.frames[row]:
         hits = tracer.intersect(origin, ray[None].astype(np.float32))
         triangle = int(hits.triangles[0])

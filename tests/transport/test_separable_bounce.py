@@ -83,7 +83,7 @@ def slow_twin(scene, accelerator, part, vertex, factorisations, values, sent):
     local = cosine_directions(shifted(lattice(N_RAYS), shifts(SEED, vertex, vertex + 1, 2)))[0]
     world = (local @ scene.frames[vertex]).astype(np.float32)
     origin = offset_origins(
-        scene.ray_points[vertex : vertex + 1], scene.normals[vertex : vertex + 1],
+        scene.ray_points[vertex : vertex + 1], scene.ray_sides[vertex : vertex + 1],
         ray_epsilon(scene.bounds),
     )  # fmt: skip
     hits = accelerator.intersect(np.repeat(origin, N_RAYS, axis=0), world)

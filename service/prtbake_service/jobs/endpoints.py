@@ -187,7 +187,7 @@ def retry(
 
 @router.delete("/jobs/{job_id}", status_code=204)
 def delete(job_id: JobId, service: ServiceDep) -> None:
-    """Remove a job that has ended, and those of its artefacts that nothing else refers to."""
+    """Remove a job that has ended; files that nothing else refers to are collected later."""
     service.delete(job_id)
 
 

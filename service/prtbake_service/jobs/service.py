@@ -1,17 +1,15 @@
 """What can be done with jobs."""
 
-import hashlib
 import logging
 import secrets
-from typing import Any
 
 from prtbake_service.backend import Backend
 from prtbake_service.errors_http import ProblemError
 from prtbake_service.jobs.references import AnyRequest, Resolver
-from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import Estimate, Job, JobState, job_request_adapter
 from prtbake_storage.errors import Conflict, InputError, PrtError
-from prtbake_storage.records import NewJob, referenced_blobs
+from prtbake_storage.records import NewJob
 
 log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
@@ -43,6 +41,7 @@ class JobService:
         if job_id is not None and job_id.startswith(PARSE_PREFIX):
             raise InputError(f"job ids that start with {PARSE_PREFIX} are the service's own")
         body = request.model_dump(mode="json")
+        identity = {"request": body, "retry_of": retry_of}
         return self._create(
             NewJob(
                 id=job_id or new_id(request.kind),
@@ -55,7 +54,7 @@ class JobService:
                 timeout_s=request.timeout_s,
                 retry_of=retry_of,
                 idempotency_key=idempotency_key,
-                body_digest=_digest({"request": body, "retry_of": retry_of}),
+                body_digest=f"sha256:{json_digest(identity)}",
             )
         )
 
@@ -98,11 +97,12 @@ class JobService:
         return job
 
     def delete(self, job_id: str) -> None:
-        """Remove a job that has ended, and those of its artefacts that nothing else refers to."""
-        digests = {artefact.sha256 for artefact in self.get(job_id).artefacts}
+        """Remove the rows of a job that has ended.
+
+        Its blobs stay: a running job may have recalled them.  The workers' garbage collector takes
+        those that nothing refers to once they are old enough.
+        """
         self._backend.jobs.delete(job_id, project=self._project)
-        for digest in digests - referenced_blobs(self._backend.database):
-            self._backend.blobs.delete(digest)
         try:
             self._backend.queue.forget(job_id)
         except Exception:
@@ -143,7 +143,3 @@ def failure_of(job: Job) -> PrtError:
 def new_id(kind: str) -> str:
     """Return a fresh id that says what the job is."""
     return f"{kind}-{secrets.token_hex(8)}"
-
-
-def _digest(value: dict[str, Any]) -> str:
-    return f"sha256:{hashlib.sha256(canonical_json(value).encode()).hexdigest()}"

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Query, Response
+from fastapi import APIRouter, Depends, Header, Path, Query, Response
 from starlette.concurrency import run_in_threadpool
 
 from prtbake_service.auth import Caller
-from prtbake_service.backend import Backend, BackendDep
+from prtbake_service.backend import BackendDep
 from prtbake_service.jobs.endpoints import PAGE, PAGE_MAX, RETRY_AFTER
 from prtbake_service.resources.service import Registration, ResourceService, refusal_of
 from prtbake_service.waiting import preferred_wait, wait_until
@@ -34,74 +34,61 @@ _POST: dict[str, Any] = {
 }
 
 
+class Registrar:
+    """Registers on behalf of one request: stores, waits for the parsing, and sets the status."""
+
+    def __init__(
+        self, backend: BackendDep, caller: Caller, response: Response, prefer: Prefer = None
+    ) -> None:
+        self._backend, self._project, self._response = backend, caller.project, response
+        self._at_most = preferred_wait(prefer, backend.settings)
+
+    async def register(
+        self, kind: ResourceKind, registration: Registration, *, below: APIRouter
+    ) -> Resource:
+        """Answer 201 or 200 with what was understood, 202 if parsing takes longer, or refuse."""
+        service = ResourceService(self._backend, self._project, kind)
+        resource, is_new = await run_in_threadpool(service.register, registration)
+        resource = await wait_until(
+            lambda: service.get(resource.id),
+            _is_parsed,
+            closing=self._backend.closing,
+            at_most=self._at_most,
+            every=POLL,
+        )
+        self._response.headers["Location"] = f"{below.prefix}/{resource.id}"
+        match resource.state:
+            case "refused":
+                raise refusal_of(resource)
+            case "parsing":
+                self._response.status_code = 202
+                self._response.headers.update(RETRY_AFTER)
+            case "ready":
+                self._response.status_code = 201 if is_new else 200
+        return resource
+
+
+RegistrarDep = Annotated[Registrar, Depends()]
+
+
 @meshes.post("", **_POST)
-async def register_mesh(
-    registration: MeshRegistration,
-    backend: BackendDep,
-    caller: Caller,
-    response: Response,
-    prefer: Prefer = None,
-) -> Resource:
+async def register_mesh(registration: MeshRegistration, registrar: RegistrarDep) -> Resource:
     """Parse a mesh and tell what was understood: counts, extents, repairs."""
-    service = ResourceService(backend, caller.project, "mesh")
-    at_most = preferred_wait(prefer, backend.settings)
-    return await _register(service, registration, backend, response, "/v1/meshes", at_most)
+    return await registrar.register("mesh", registration, below=meshes)
 
 
 @brdfs.post("", **_POST)
-async def register_brdf(
-    registration: BrdfRegistration,
-    backend: BackendDep,
-    caller: Caller,
-    response: Response,
-    prefer: Prefer = None,
-) -> Resource:
+async def register_brdf(registration: BrdfRegistration, registrar: RegistrarDep) -> Resource:
     """Check a BRDF and tell what was understood: model, energy, reciprocity."""
-    service = ResourceService(backend, caller.project, "brdf")
-    at_most = preferred_wait(prefer, backend.settings)
-    return await _register(service, registration, backend, response, "/v1/brdfs", at_most)
+    return await registrar.register("brdf", registration, below=brdfs)
 
 
 @environments.post("", **_POST)
 async def register_environment(
-    registration: EnvironmentRegistration,
-    backend: BackendDep,
-    caller: Caller,
-    response: Response,
-    prefer: Prefer = None,
+    registration: EnvironmentRegistration, registrar: RegistrarDep
 ) -> Resource:
     """Parse an environment and tell what was understood: layout, dynamic range, repairs."""
-    service = ResourceService(backend, caller.project, "environment")
-    at_most = preferred_wait(prefer, backend.settings)
-    return await _register(service, registration, backend, response, "/v1/environments", at_most)
-
-
-async def _register(
-    service: ResourceService,
-    registration: Registration,
-    backend: Backend,
-    response: Response,
-    path: str,
-    at_most: timedelta,
-) -> Resource:
-    resource, is_new = await run_in_threadpool(service.register, registration)
-    resource = await wait_until(
-        lambda: service.get(resource.id),
-        _is_parsed,
-        closing=backend.closing,
-        at_most=at_most,
-        every=POLL,
-    )
-    response.headers["Location"] = f"{path}/{resource.id}"
-    match resource.state:
-        case "refused":
-            raise refusal_of(resource)
-        case "parsing":
-            response.status_code = 202
-            response.headers.update(RETRY_AFTER)
-        case "ready":
-            response.status_code = 201 if is_new else 200
-    return resource
+    return await registrar.register("environment", registration, below=environments)
 
 
 def _is_parsed(resource: Resource) -> bool:

@@ -1,13 +1,12 @@
 """Registering inputs: a resource row and the quick job that parses it."""
 
-import hashlib
 import secrets
 
 from prtbake_service.backend import Backend
 from prtbake_service.errors_http import ProblemError
 from prtbake_service.jobs.references import Resolver
 from prtbake_service.jobs.service import PARSE_PREFIX, STATUS_OF_KIND, enqueue
-from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.resources import (
     BrdfRegistration,
     EnvironmentRegistration,
@@ -71,8 +70,7 @@ class ResourceService:
     def _id(self, request: dict[str, object]) -> str:
         # what a resource is called does not change what it is
         named = {"project": self._project} | {k: v for k, v in request.items() if k != "label"}
-        digest = hashlib.sha256(canonical_json(named).encode()).hexdigest()
-        return f"{self._kind}-{digest[:16]}"
+        return f"{self._kind}-{json_digest(named)[:16]}"
 
     def _parse(self, resource_id: str, request: dict[str, object]) -> None:
         # one job for a registration that comes twice, another once that one has ended

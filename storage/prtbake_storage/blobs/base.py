@@ -5,7 +5,9 @@ A blob is immutable and named by its digest ``sha256:<64 hex>``.  Beside the blo
 because they live with the blobs a directory and a remote store serve the workers alike.
 """
 
+import hashlib
 import json
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -19,6 +21,9 @@ from prtbake_storage.errors import InputError
 _DIGEST = re.compile(r"sha256:[0-9a-f]{64}\Z")
 _KEY = re.compile(r"[0-9a-f]{64}\Z")
 _OWNER = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}\Z")
+
+RENEW_AFTER_S = 3600.0
+"""Times of use are this coarse, so that recalling what is fresh writes nothing."""
 
 
 def check_digest(digest: str) -> str:
@@ -47,9 +52,14 @@ def canonical_json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
+def json_digest(value: Any) -> str:
+    """SHA-256 of a JSON value however its keys are ordered, in 64 hex digits."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
 @dataclass(frozen=True)
 class BlobInfo:
-    """One stored blob: its name, its size in bytes, when it was last put (seconds since 1970)."""
+    """One stored blob: name, size in bytes, when last put or renewed (seconds since 1970)."""
 
     digest: str
     size: int
@@ -104,8 +114,18 @@ class BlobStore(ABC):
         """Whether the store holds the blob."""
 
     @abstractmethod
-    def delete(self, digest: str) -> bool:
-        """Remove a blob; False if there was none."""
+    def renew(self, digest: str) -> bool:
+        """Keep the garbage collector away, as putting the blob again would; False if it is gone.
+
+        What was put or renewed within `RENEW_AFTER_S` is left as it is.
+        """
+
+    @abstractmethod
+    def delete(self, digest: str, *, older_than: float = math.inf) -> bool:
+        """Remove a blob that was last put or renewed before a time (seconds since 1970).
+
+        False if there was none, or it is younger: also if it was put or renewed at this moment.
+        """
 
     @abstractmethod
     def blobs(self) -> Iterator[BlobInfo]:
@@ -120,12 +140,16 @@ class BlobStore(ABC):
         """Recall a result, or None; an unreadable one counts as none."""
 
     @abstractmethod
-    def delete_result(self, key: str) -> bool:
-        """Forget a result; False if there was none."""
+    def renew_result(self, key: str) -> bool:
+        """Keep the garbage collector away from a result, as `renew` does from a blob."""
+
+    @abstractmethod
+    def delete_result(self, key: str, *, older_than: float = math.inf) -> bool:
+        """Forget a result, as `delete` removes a blob; False if there was none or it is younger."""
 
     @abstractmethod
     def results(self) -> Iterator[tuple[str, float]]:
-        """Walk all results: (key, when it was put in seconds since 1970)."""
+        """Walk all results: (key, when it was put or renewed in seconds since 1970)."""
 
     @abstractmethod
     def scratch(self) -> AbstractContextManager[Path]:

@@ -5,6 +5,7 @@
     blobs/ab/<64 hex>          read-only, named by their SHA-256, 256 shards
     results/ab/<64 hex>.json   what finished tasks returned
     scratch/<owner>/<random>/  work in progress; ``owner`` is the process that must clean up
+    scratch/<name>.<random>    a blob or result at the moment of its removal
 
 Every file is written under ``scratch``, fsynced, and renamed into place, so that a reader sees all
 of it or nothing, and a killed writer leaves nothing outside ``scratch``.
@@ -12,16 +13,19 @@ of it or nothing, and a killed writer leaves nothing outside ``scratch``.
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from prtbake_storage.blobs.base import (
+    RENEW_AFTER_S,
     BlobInfo,
     BlobStore,
     BlobWriter,
@@ -109,9 +113,13 @@ class LocalBlobStore(BlobStore):
         """Whether the store holds the blob."""
         return self._blob(digest).is_file()
 
-    def delete(self, digest: str) -> bool:
-        """Remove a blob; False if there was none."""
-        return _unlink(self._blob(digest))
+    def renew(self, digest: str) -> bool:
+        """Keep the garbage collector away, as putting the blob again would; False if it is gone."""
+        return _renew(self._blob(digest))
+
+    def delete(self, digest: str, *, older_than: float = math.inf) -> bool:
+        """Remove a blob that was last put or renewed before a time (seconds since 1970)."""
+        return self._remove(self._blob(digest), older_than)
 
     def blobs(self) -> Iterator[BlobInfo]:
         """Walk all blobs, in order of digest."""
@@ -149,12 +157,16 @@ class LocalBlobStore(BlobStore):
             return None
         return value if isinstance(value, dict) else None
 
-    def delete_result(self, key: str) -> bool:
-        """Forget a result; False if there was none."""
-        return _unlink(self._result(key))
+    def renew_result(self, key: str) -> bool:
+        """Keep the garbage collector away from a result; False if there is none."""
+        return _renew(self._result(key))
+
+    def delete_result(self, key: str, *, older_than: float = math.inf) -> bool:
+        """Forget a result that was last put or renewed before a time (seconds since 1970)."""
+        return self._remove(self._result(key), older_than)
 
     def results(self) -> Iterator[tuple[str, float]]:
-        """Walk all results: (key, when it was put in seconds since 1970)."""
+        """Walk all results: (key, when it was put or renewed in seconds since 1970)."""
         for path in sorted((self.root / "results").glob("??/*.json")):
             with suppress(FileNotFoundError):
                 yield path.stem, path.stat().st_mtime
@@ -173,10 +185,14 @@ class LocalBlobStore(BlobStore):
 
     def sweep_scratch(self, *, owner: str | None = None, older_than_s: float = 0.0) -> int:
         """Remove scratch that a killed process left: one owner's, or all that is old enough."""
-        pattern = f"{check_owner(owner)}/*" if owner is not None else "*/*"
+        scratch = self.root / "scratch"
+        if owner is not None:
+            found = list(scratch.glob(f"{check_owner(owner)}/*"))
+        else:  # files at the top were set aside by a `delete` that was killed
+            found = [*scratch.glob("*/*"), *filter(Path.is_file, scratch.glob("*"))]
         limit = time.time() - older_than_s
         swept = 0
-        for path in (self.root / "scratch").glob(pattern):
+        for path in found:
             with suppress(FileNotFoundError):
                 if path.stat().st_mtime > limit:
                     continue
@@ -185,7 +201,7 @@ class LocalBlobStore(BlobStore):
                 else:
                     path.unlink()
                 swept += 1
-        for folder in (self.root / "scratch").glob("*"):
+        for folder in scratch.glob("*"):
             with suppress(OSError):  # not empty: somebody works there
                 folder.rmdir()
         return swept
@@ -199,6 +215,20 @@ class LocalBlobStore(BlobStore):
         # garbage collector away, and mends a file that was cut short behind our back
         path.replace(target)
         _sync_folder(target.parent)
+
+    def _remove(self, path: Path, older_than: float) -> bool:
+        # out of reach first: seen in its place, it could be renewed between the look and the end
+        aside = self.root / "scratch" / f"{path.name}.{uuid.uuid4().hex}"
+        try:
+            path.replace(aside)
+        except FileNotFoundError:
+            return False
+        if aside.stat().st_mtime < older_than:
+            aside.unlink()
+            return True
+        aside.replace(path)
+        _sync_folder(path.parent)
+        return False
 
     @contextmanager
     def _temporary(self) -> Iterator[Path]:
@@ -259,9 +289,10 @@ def _expect(digest: str, expected: str | None) -> None:
         raise DigestMismatch(f"the bytes are {digest}, not {expected}")
 
 
-def _unlink(path: Path) -> bool:
+def _renew(path: Path) -> bool:
     try:
-        path.unlink()
+        if path.stat().st_mtime < time.time() - RENEW_AFTER_S:
+            os.utime(path)
     except FileNotFoundError:
         return False
     return True

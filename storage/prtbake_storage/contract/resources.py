@@ -31,13 +31,19 @@ class BuiltinEnvironment(Wire):
 
 
 class MeshRegistration(Wire):
-    """Name a blob (or a procedural mesh) as a mesh, and parse it."""
+    """Name a blob (or a procedural mesh) as a mesh, and parse it.
+
+    ``crease_angle_deg``: null keeps the normals that the file gives and computes smooth ones where
+    it gives none; a number takes none of the file's, and leaves edges sharp whose face normals
+    differ by more than that.
+    """
 
     blob: Digest | None = None
     builtin: BuiltinMesh | None = None
     format: MeshFormat = "auto"
     filename: str | None = Field(default=None, max_length=255)
     orient_outward: bool = True
+    crease_angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] | None = None
     label: str | None = Field(default=None, max_length=200)
 
     @model_validator(mode="after")

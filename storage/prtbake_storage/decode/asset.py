@@ -25,17 +25,44 @@ Method = Literal["cta", "cpca"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
-    """A run of vertices with one material and one set of factors.
+class Surface:
+    """A run of vertices with one material.
 
     Parameters
     ----------
     name
         What the part is: ``object``, ``receiver``.
     vertex_range
-        First vertex and one past the last, in the asset's numbering.
+        First vertex and one past the last, in the mesh's numbering.
     material
         The BRDF as JSON.
+    albedo
+        (1,) or (3,) multiplies every colour of the part.
+    albedo_texture
+        (height, width, 3) linear Rec.709, row 0 at v = 1, repeated outside [0, 1]; or None.
+    factorisation
+        The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
+    """
+
+    name: str
+    vertex_range: tuple[int, int]
+    material: Mapping[str, Any]
+    albedo: F32
+    albedo_texture: F32 | None = None
+    factorisation: Mapping[str, Any] | None = None
+
+    @property
+    def n_vertices(self) -> int:
+        """Vertices of the part."""
+        return self.vertex_range[1] - self.vertex_range[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part(Surface):
+    """A surface with one set of factors.
+
+    Parameters
+    ----------
     method
         ``cta`` uses ``view_basis``, ``light_bases``, ``dual_bases``; ``cpca`` uses ``means`` and
         ``components`` and has ``R_view`` = 1.
@@ -56,23 +83,13 @@ class Part:
         (clusters, coeffs) and (clusters, pcs, coeffs).
     frames
         (verts, 3, 3) rows tangent, bitangent, normal; needed with a view texture.
-    albedo
-        (1,) or (3,) multiplies every colour of the part.
-    albedo_texture
-        (height, width, 3) linear Rec.709, row 0 at v = 1, repeated outside [0, 1]; or None.
     ranks
         (clusters, 3) true (view, light, vert) ranks; for ``cpca`` (1, coeffs, components used).
-    factorisation
-        The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
     """
 
-    name: str
-    vertex_range: tuple[int, int]
-    material: Mapping[str, Any]
     method: Method
     labels: I32
     weights: F32
-    albedo: F32
     ranks: I32
     view_basis: F32 = field(default_factory=lambda: np.ones((1, 1), np.float32))
     view_texture: F32 | None = None
@@ -81,13 +98,6 @@ class Part:
     means: F32 | None = None
     components: F32 | None = None
     frames: F32 | None = None
-    albedo_texture: F32 | None = None
-    factorisation: Mapping[str, Any] | None = None
-
-    @property
-    def n_vertices(self) -> int:
-        """Vertices of the part."""
-        return self.vertex_range[1] - self.vertex_range[0]
 
     @property
     def n_clusters(self) -> int:

@@ -55,15 +55,9 @@ def put(
     axes: str,
     *,
     unit: str | None = None,
-    chunk_rows: int | None = None,
-    growing: bool = False,
-    level: int = schema.GZIP_LEVEL,
 ) -> h5py.Dataset:
-    """Write an array; ``axes`` names its axes, ``chunk_rows`` fixes the first chunk edge."""
-    dataset = create(
-        parent, name, array.shape, array.dtype, axes,
-        unit=unit, chunk_rows=chunk_rows, growing=growing, level=level,
-    )  # fmt: skip
+    """Write an array; ``axes`` names its axes."""
+    dataset = create(parent, name, array.shape, array.dtype, axes, unit=unit)
     dataset[...] = array
     return dataset
 
@@ -80,7 +74,7 @@ def create(
     growing: bool = False,
     level: int = schema.GZIP_LEVEL,
 ) -> h5py.Dataset:
-    """Create an empty dataset with prtbake's filters and attributes."""
+    """Create an empty dataset with prtbake's filters; ``chunk_rows`` fixes the first chunk edge."""
     if len(axes.split()) != len(shape):
         raise ValueError(f"{name}: axes {axes!r} do not name the {len(shape)} axes of {shape}")
     row_bytes = max(1, int(np.prod(shape[1:], dtype=np.int64)) * np.dtype(dtype).itemsize)

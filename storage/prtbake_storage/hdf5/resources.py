@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.decode.asset import LightFit
+from prtbake_storage.decode.quantise import INT16_MAX
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 
@@ -112,15 +113,20 @@ def read_light(path: Path) -> LightFit:
 def put_mesh(
     file: Any, positions: NDArray[Any], faces: I32, normals: NDArray[Any], uv: NDArray[Any] | None
 ) -> None:
-    """Write the group ``mesh``; int16 normals carry the scale 1/32767."""
+    """Write the group ``mesh``."""
     group = h5.group(file, "mesh")
     h5.put(group, "positions", positions, "verts xyz", unit="scene")
     h5.put(group, "faces", faces, "tris corners")
-    written = h5.put(group, "normals", normals, "verts xyz")
-    if normals.dtype == np.int16:
-        h5.set_attribute(written, "scale", 1.0 / 32767)
+    put_directions(group, "normals", normals)
     if uv is not None:
         h5.put(group, "uv", uv, "verts uv")
+
+
+def put_directions(group: Any, name: str, directions: NDArray[Any]) -> None:
+    """Write unit vectors (verts, 3); those in int16 carry their scale."""
+    written = h5.put(group, name, directions, "verts xyz")
+    if directions.dtype == np.int16:
+        h5.set_attribute(written, "scale", 1.0 / INT16_MAX)
 
 
 def get_mesh(file: Any) -> tuple[F64, I32, F64, F64 | None]:

@@ -35,8 +35,6 @@ TRANSFER_CHUNK_BYTES = 1 << 20
 CHUNK_BYTES = 1 << 18
 """Target size of a chunk before compression."""
 
-INT16_MAX = 32767
-
 MAX_DEFLATE_RATIO = 1100
 """deflate cannot shrink beyond 1032:1, so a dataset that claims more was never written."""
 

@@ -7,37 +7,29 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from prtbake_storage.decode.asset import Surface
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 
 F32 = NDArray[np.float32]
 
 
-def put_surface(
-    group: h5py.Group,
-    *,
-    name: str,
-    vertex_range: tuple[int, int],
-    material: Mapping[str, Any],
-    albedo: F32,
-    albedo_texture: F32 | None,
-    factorisation: Mapping[str, Any] | None,
-) -> None:
+def put_surface(group: h5py.Group, surface: Surface) -> None:
     """Write a part's name, range, material, albedo and factorisation."""
-    h5.set_attribute(group, "name", name)
-    h5.set_attribute(group, "vertex_start", vertex_range[0])
-    h5.set_attribute(group, "vertex_stop", vertex_range[1])
-    h5.put_json(group, "material", dict(material))
-    h5.put(group, "albedo", albedo.astype(np.float32), "channels")
-    if albedo_texture is not None:
-        texture = albedo_texture.astype(np.float32)
+    h5.set_attribute(group, "name", surface.name)
+    h5.set_attribute(group, "vertex_start", surface.vertex_range[0])
+    h5.set_attribute(group, "vertex_stop", surface.vertex_range[1])
+    h5.put_json(group, "material", dict(surface.material))
+    h5.put(group, "albedo", surface.albedo.astype(np.float32), "channels")
+    if surface.albedo_texture is not None:
+        texture = surface.albedo_texture.astype(np.float32)
         h5.put(group, "albedo_texture", texture, "height width channels")
-    if factorisation is not None:
-        put_tables(h5.group(group, "factorisation"), factorisation)
+    if surface.factorisation is not None:
+        put_tables(h5.group(group, "factorisation"), surface.factorisation)
 
 
 def get_surface(group: h5py.Group) -> dict[str, Any]:
-    """Read what `put_surface` wrote, as its keyword arguments."""
+    """Read what `put_surface` wrote, as keyword arguments of `Surface`."""
     start, stop = h5.attribute(group, "vertex_start"), h5.attribute(group, "vertex_stop")
     if not isinstance(start, int) or not isinstance(stop, int) or not 0 <= start < stop:
         raise CorruptArtefact(f"{group.name}: vertex range {start}..{stop} is no range")

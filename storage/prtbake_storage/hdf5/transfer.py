@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.quantise import quantise
+from prtbake_storage.decode.asset import Surface
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5 import schema
@@ -32,27 +32,16 @@ PER_VERTEX = {"scale": "verts terms", "signal_energy": "verts", "residual_energy
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransferPart:
+class TransferPart(Surface):
     """All of a part but its coefficients.
 
     ``areas`` (verts,) weigh errors over the surface; ``frames`` (verts, 3, 3) or None for a
     constant phi; ``n_terms`` the terms of the BRDF's factorisation.
     """
 
-    name: str
-    vertex_range: tuple[int, int]
-    material: Mapping[str, Any]
     areas: F64
     n_terms: int
-    albedo: F32
     frames: F64 | None = None
-    albedo_texture: F32 | None = None
-    factorisation: Mapping[str, Any] | None = None
-
-    @property
-    def n_vertices(self) -> int:
-        """Vertices of the part."""
-        return self.vertex_range[1] - self.vertex_range[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,19 +65,8 @@ class Energies(NamedTuple):
     residual: F64
 
 
-def quantise_transfer(coefficients: F32) -> tuple[I16, F32]:
-    """Quantise (verts, terms, coeffs); returns int16 values and (verts, terms) scales."""
-    packed = quantise(coefficients, (2,))
-    return packed.values, packed.scale[:, :, 0]
-
-
 def write_transfer_tile(
-    path: Path,
-    coefficients: NDArray[Any],
-    *,
-    signal_energy: F64,
-    residual_energy: F64,
-    scale: F32 | None = None,
+    path: Path, coefficients: I16, *, scale: F32, signal_energy: F64, residual_energy: F64
 ) -> None:
     """Write one tile: a block of vertices of one part.
 
@@ -97,16 +75,14 @@ def write_transfer_tile(
     path
         Final name.
     coefficients
-        (verts, terms, coeffs) whitened; float32 to be quantised here, or int16 with ``scale``.
+        (verts, terms, coeffs) int16, whitened when multiplied by ``scale``.
+    scale
+        (verts, terms).
     signal_energy, residual_energy
         (verts,) squared radiance norms.
-    scale
-        (verts, terms), with int16 coefficients only.
     """
-    if scale is None:
-        coefficients, scale = quantise_transfer(coefficients)
     if coefficients.dtype != np.int16 or scale.shape != coefficients.shape[:2]:
-        raise ValueError("coefficients must be float32, or int16 with a (verts, terms) scale")
+        raise ValueError("coefficients must be int16 with a (verts, terms) scale")
     with h5.new_file(path, "transfer") as file:
         target = _create_coefficients(file, coefficients.shape)
         target[...] = coefficients
@@ -137,15 +113,7 @@ def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[P
         parts = h5.group(file, "parts")
         for index, (part, paths) in enumerate(zip(header.parts, tiles, strict=True)):
             group = h5.group(parts, str(index))
-            put_surface(
-                group,
-                name=part.name,
-                vertex_range=part.vertex_range,
-                material=part.material,
-                albedo=part.albedo,
-                albedo_texture=part.albedo_texture,
-                factorisation=part.factorisation,
-            )
+            put_surface(group, part)
             h5.put(group, "areas", part.areas.astype(np.float64), "verts", unit="scene^2")
             if part.frames is not None:
                 h5.put(group, "frames", part.frames.astype(np.float64), "verts axes xyz")

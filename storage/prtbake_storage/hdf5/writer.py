@@ -16,7 +16,7 @@ from prtbake_storage.decode.quantise import (
     quantise_weights,
 )
 from prtbake_storage.hdf5 import primitives as h5
-from prtbake_storage.hdf5.resources import put_mesh
+from prtbake_storage.hdf5.resources import put_directions, put_mesh
 from prtbake_storage.hdf5.tables import put_surface
 
 F32 = NDArray[np.float32]
@@ -77,15 +77,7 @@ def put_basis(file: h5py.File, centres: NDArray[np.float64], bandwidth: float) -
 
 
 def _put_part(group: h5py.Group, part: Part, normals: F32, bits: int) -> None:
-    put_surface(
-        group,
-        name=part.name,
-        vertex_range=part.vertex_range,
-        material=part.material,
-        albedo=part.albedo,
-        albedo_texture=part.albedo_texture,
-        factorisation=part.factorisation,
-    )
+    put_surface(group, part)
     h5.set_attribute(group, "method", part.method)
     h5.put(group, "view_basis", part.view_basis, "terms view")
     clusters = h5.group(group, "clusters")
@@ -100,10 +92,7 @@ def _put_part(group: h5py.Group, part: Part, normals: F32, bits: int) -> None:
     else:
         h5.put(group, "weights", part.weights, "verts ranks")
     if part.frames is not None and bits == 16:
-        tangents = h5.put(
-            group, "tangents", pack_tangents(part.name, part.frames, normals), "verts xyz"
-        )
-        h5.set_attribute(tangents, "scale", 1.0 / 32767)
+        put_directions(group, "tangents", pack_tangents(part.name, part.frames, normals))
     elif part.frames is not None:
         h5.put(group, "frames", part.frames, "verts axes xyz")
 

@@ -141,10 +141,10 @@ def _outcome(answer: dict[str, Any], status: int, tail: deque[str], task: Task) 
         raise TaskFailed(JobError.model_validate(answer["error"]), retryable=answer["retryable"])
     last = tail[-1] if tail else "it left no message"
     if status == -signal.SIGXCPU:
-        detail = f"{task.label or task.function} used more than {task.cpu_seconds} s of CPU time"
+        detail = f"{task.title} used more than {task.cpu_seconds} s of CPU time"
         raise TaskFailed(JobError(kind="resource", code="cpu-limit", detail=detail))
     how = f"was killed by {signal.Signals(-status).name}" if status < 0 else f"exited with {status}"
-    detail = f"the process of {task.label or task.function} {how}: {last}"
+    detail = f"the process of {task.title} {how}: {last}"
     # a signal is the system's doing (out of memory, a crash in native code): it may pass
     error = JobError(kind="resource", code="task-died", detail=detail)
     raise TaskFailed(error, retryable=status < 0)
@@ -173,7 +173,7 @@ def _read_stderr(stderr: IO[str], tail: deque[str], task: Task) -> None:
         for line in stderr:
             text = line.rstrip()
             tail.append(text)
-            _log.info("task.stderr", extra={"line": text, "task": task.label or task.function})
+            _log.info("task.stderr", extra={"line": text, "task": task.title})
     except ValueError:  # the pipe closed under us
         return
 

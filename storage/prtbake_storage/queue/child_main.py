@@ -45,10 +45,10 @@ def main() -> None:
     try:
         send(_run(order, send))
     except MemoryError:
-        send({"error": _describe(MemoryError()), "retryable": False})
+        send(_failure(MemoryError()))
     except Exception as error:  # noqa: BLE001 - the boundary: whatever it is, the parent must hear
         traceback.print_exc()
-        send({"error": _describe(error), "retryable": bool(getattr(error, "retryable", False))})
+        send(_failure(error))
     channel.close()
     os._exit(0)  # a library's stray thread must not keep a finished task alive
 
@@ -87,10 +87,10 @@ def peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _describe(error: BaseException) -> dict[str, Any]:
-    from prtbake_storage.queue.failures import describe
+def _failure(error: BaseException) -> dict[str, Any]:
+    from prtbake_storage.queue.failures import describe, may_pass
 
-    return describe(error).model_dump()
+    return {"error": describe(error).model_dump(), "retryable": may_pass(error)}
 
 
 def _die_with_parent() -> None:

@@ -79,9 +79,13 @@ def prepare(database_url: str) -> str:
     return url
 
 
-def task_id(job_id: str, stage: int, position: int) -> str:
-    """Name the workflow of a task; job ids hold no dot, so a job's tasks share a prefix."""
-    return f"{job_id}.{stage}.{position}"
+def task_id(job_id: str, stage: int, position: int, key: str) -> str:
+    """Name the workflow of a task; job ids hold no dot, so a job's tasks share a prefix.
+
+    The beginning of the task's key makes it another workflow when the code has changed, so that a
+    job taken up after an upgrade does not wait for what the old code has done.
+    """
+    return f"{job_id}.{stage}.{position}.{key[:12]}"
 
 
 class JobQueue:
@@ -101,11 +105,19 @@ class JobQueue:
         self._enqueue(name, name, job_id, priority, job_id)
 
     def submit_task(
-        self, job_id: str, stage: int, position: int, task: dict[str, Any], *, priority: int
-    ) -> None:
-        """Queue a task of a running job; doing so again changes nothing."""
-        workflow_id = task_id(job_id, stage, position)
+        self,
+        job_id: str,
+        stage: int,
+        position: int,
+        task: dict[str, Any],
+        *,
+        key: str,
+        priority: int,
+    ) -> str:
+        """Queue a task of a running job and name its workflow; doing so again changes nothing."""
+        workflow_id = task_id(job_id, stage, position, key)
         self._enqueue(TASKS, TASKS, workflow_id, priority, job_id, stage, position, task)
+        return workflow_id
 
     def statuses(self, workflow_ids: Sequence[str]) -> dict[str, str]:
         """Status by workflow id, of those that exist."""
@@ -165,12 +177,12 @@ class JobQueue:
         """Queue a claimed workflow again, without counting a lost worker."""
         self._client.resume_workflow(claim.workflow_id, queue_name=claim.queue)
 
-    def forget(self, job_id: str) -> None:
-        """Delete a job's ended workflows, so that its id may be used anew."""
+    def forget(self, workflow_id: str) -> None:
+        """Delete the ended workflow of a job with its tasks', or of a task, to use its id anew."""
         tasks = self._client.list_workflows(
-            workflow_id_prefix=f"{job_id}.", load_input=False, load_output=False
+            workflow_id_prefix=f"{workflow_id}.", load_input=False, load_output=False
         )
-        self._client.delete_workflows([job_id, *(task.workflow_id for task in tasks)])
+        self._client.delete_workflows([workflow_id, *(task.workflow_id for task in tasks)])
 
     def prune(self, ended_before: str) -> int:
         """Delete workflows that ended before an ISO time; returns how many."""
@@ -301,7 +313,7 @@ class Engine:
 
         @DBOS.workflow(name=TASKS, max_recovery_attempts=worker_losses - 1)
         def task(job_id: str, stage: int, position: int, data: dict[str, Any]) -> dict[str, Any]:
-            with self._running(task_id(job_id, stage, position)):
+            with self._running(str(DBOS.workflow_id)):
                 return handlers.task(job_id, stage, position, data)
 
     @contextmanager

@@ -1,9 +1,10 @@
 """The memory of finished tasks."""
 
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from prtbake_storage.blobs.base import BlobStore, referenced_digests
-from prtbake_storage.queue.stages import Measured
+from prtbake_storage.queue.stages import Measured, Results, Stage
 
 
 class Memory(NamedTuple):
@@ -14,14 +15,40 @@ class Memory(NamedTuple):
 
 
 def recall(store: BlobStore, key: str) -> Memory | None:
-    """Find the result of a finished task; None if it is unknown or a blob that it names is gone."""
+    """Find the result of a finished task; None if it is unknown or a blob that it names is gone.
+
+    What is recalled is renewed with its blobs: the garbage collector leaves it alone for as long as
+    if it had been made now.
+    """
     value = store.get_result(key)
     if value is None:
         return None
-    if not all(store.exists(digest) for digest in referenced_digests(value["result"])):
-        store.delete_result(key)
-        return None
-    return _read(value)
+    digests = referenced_digests(value["result"])
+    if store.renew_result(key) and all(store.renew(digest) for digest in digests):
+        return _read(value)
+    store.delete_result(key)
+    return None
+
+
+def enter(results: Results, stage: Stage, memories: Sequence[Memory]) -> None:
+    """Enter a finished stage's memories, in the order of its tasks."""
+    results.add(
+        stage.name,
+        [memory.result for memory in memories],
+        [memory.measured for memory in memories],
+    )
+
+
+def finished_tasks(store: BlobStore, stages: Iterable[Stage]) -> Iterator[str]:
+    """Keys of a job's remembered tasks, up to the first stage that is not done."""
+    results = Results()
+    for stage in stages:
+        keys = [task.key for task in stage.tasks(results)]
+        found = {key: value for key in keys if (value := store.get_result(key)) is not None}
+        yield from found
+        if len(found) < len(set(keys)):
+            return
+        enter(results, stage, [_read(found[key]) for key in keys])
 
 
 def remember(store: BlobStore, key: str, memory: Memory) -> Memory:

@@ -7,20 +7,22 @@ change of the job's row is a compare-and-set.
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.errors import PrtError
+from prtbake_storage.queue.attempts import Attempts
 from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
-from prtbake_storage.queue.memo import Memory, recall
+from prtbake_storage.queue.memo import Memory, enter, recall
 from prtbake_storage.queue.patience import patiently
 from prtbake_storage.queue.stages import ArtefactFile, Finished, JobRunner, Results, Task
 from prtbake_storage.queue.tally import Tally
 from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
+from prtbake_storage.records.events import Events
 from prtbake_storage.records.runs import NewArtefact, Run, Stop
 
 P = ParamSpec("P")
@@ -46,13 +48,14 @@ class _Stopped(Exception):
 
 @dataclass
 class _Work:
-    """A stage under way: what waits, what is in the queue, what is done."""
+    """A stage under way: what waits, what is in the queue, what is done, what was lost again."""
 
     index: int
     tasks: list[Task]
     waiting: deque[int] = field(default_factory=deque)
     queued: dict[str, int] = field(default_factory=dict)
     done: dict[int, Memory] = field(default_factory=dict)
+    losses: Counter[int] = field(default_factory=Counter)
 
 
 class JobRun:
@@ -64,6 +67,9 @@ class JobRun:
         self._services, self._queue, self._runner = services, queue, runner
         self._job_id, self._quick = job_id, quick
         self._next_progress = 0.0
+        self._attempts = Attempts(
+            services.settings, services.shutdown, check_stop=self._check_stop, tell=self._retrying
+        )
 
     def run(self) -> None:
         """Run to a terminal state; raises `TaskStopped` only when this worker shuts down."""
@@ -93,18 +99,13 @@ class JobRun:
             self._check_stop()
             work = _Work(index, stage.tasks(results))
             for position, task in enumerate(work.tasks):
-                if (memory := recall(self._services.store, task.key)) is not None:
+                if (memory := self._recall(task, task.key)) is not None:
                     work.done[position] = memory
                 else:
                     work.waiting.append(position)
             self._report(tally, work, now=True)
             self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
-            memories = [work.done[position] for position in range(len(work.tasks))]
-            results.add(
-                stage.name,
-                [memory.result for memory in memories],
-                [memory.measured for memory in memories],
-            )
+            enter(results, stage, [work.done[position] for position in range(len(work.tasks))])
         finished = self._runner.finish(run.kind, run.request, run.context, results)
         self._succeed(finished, tally)
 
@@ -123,12 +124,19 @@ class JobRun:
             self._check_stop()
             while work.waiting and len(work.queued) < WINDOW:
                 position = work.waiting.popleft()
-                task = work.tasks[position].to_dict()
-                self._queue.submit_task(
-                    self._job_id, work.index, position, task, priority=run.priority
+                task = work.tasks[position]
+                workflow_id = self._patiently(
+                    self._queue.submit_task,
+                    self._job_id,
+                    work.index,
+                    position,
+                    task.to_dict(),
+                    key=task.key,
+                    priority=run.priority,
                 )
-                work.queued[task_id(self._job_id, work.index, position)] = position
-            for workflow_id, status in self._queue.statuses(list(work.queued)).items():
+                work.queued[workflow_id] = position
+            statuses = self._patiently(self._queue.statuses, list(work.queued))
+            for workflow_id, status in statuses.items():
                 if status in ENDED:
                     outcome = self._outcome(workflow_id, status)
                     self._take(work, work.queued.pop(workflow_id), outcome)
@@ -137,7 +145,7 @@ class JobRun:
                 raise TaskStopped(SHUTDOWN)
 
     def _outcome(self, workflow_id: str, status: str) -> Outcome:
-        output = self._queue.output(workflow_id)
+        output = self._patiently(self._queue.output, workflow_id)
         if status == "SUCCESS" and isinstance(output, dict):
             return Outcome.from_dict(output)
         if status == "MAX_RECOVERY_ATTEMPTS_EXCEEDED":
@@ -151,11 +159,27 @@ class JobRun:
         if outcome.status == "failed" and outcome.error is not None:
             self._check_stop()  # a cancellation asked for comes before an error
             raise TaskFailed(outcome.error)
-        memory = recall(self._services.store, work.tasks[position].key)
+        memory = self._recall(work.tasks[position], outcome.key) if outcome.key else None
         if memory is None:
             self._check_stop()
-            raise RuntimeError(f"the result of task {position} of stage {work.index} is gone")
-        work.done[position] = memory
+            self._run_again(work, position)
+        else:
+            work.done[position] = memory
+
+    def _recall(self, task: Task, key: str) -> Memory | None:
+        return self._attempts.make(f"recalling {task.title}", recall, self._services.store, key)
+
+    def _run_again(self, work: _Work, position: int) -> None:
+        """Put a task back whose result is not remembered any more, or lacks a blob."""
+        task = work.tasks[position]
+        work.losses[position] += 1
+        if (losses := work.losses[position]) == self._services.settings.task_attempts:
+            detail = f"the result of {task.title} was made and lost {losses} times"
+            raise TaskFailed(JobError(kind="internal", code="lost-result", detail=detail))
+        if not self._quick:
+            workflow_id = task_id(self._job_id, work.index, position, task.key)
+            self._patiently(self._queue.forget, workflow_id)
+        work.waiting.append(position)
 
     def _report(self, tally: Tally, work: _Work, *, now: bool = False) -> None:
         if not now and time.monotonic() < self._next_progress:
@@ -167,13 +191,7 @@ class JobRun:
         self._patiently(self._services.runs.progress, self._job_id, progress)
 
     def _succeed(self, finished: Finished, tally: Tally) -> None:
-        files = [ArtefactFile(*file) for file in finished.artefacts]
-        artefacts = [
-            NewArtefact(
-                file.name, file.media_type, file.digest, self._services.store.size(file.digest)
-            )
-            for file in files
-        ]
+        artefacts = [self._artefact(ArtefactFile(*file)) for file in finished.artefacts]
         published = self._patiently(
             self._services.runs.succeed,
             self._job_id,
@@ -185,6 +203,15 @@ class JobRun:
             self._check_stop()
             return
         _log.info("job.succeeded", extra={"job_id": self._job_id, "seconds_s": tally.elapsed_s})
+
+    def _artefact(self, file: ArtefactFile) -> NewArtefact:
+        size = self._attempts.make(f"measuring {file.name}", self._services.store.size, file.digest)
+        return NewArtefact(file.name, file.media_type, file.digest, size)
+
+    def _retrying(self, detail: str) -> None:
+        _log.warning("job.retried", extra={"job_id": self._job_id, "error": detail})
+        events = Events(self._services.database)
+        self._patiently(events.log, self._job_id, f"retrying after: {detail}")
 
     def _check_stop(self) -> None:
         if self._services.shutdown.is_set():
@@ -200,11 +227,10 @@ class JobRun:
     def _end(self, stop: Stop) -> None:
         """Take the tasks off the queue, wait for those that run to stop, and close the row."""
         deadline = time.monotonic() + STOP_PATIENCE_S
-        while not self._quick and (tasks := self._queue.open_tasks(self._job_id)):
+        while not self._quick and (tasks := self._patiently(self._queue.open_tasks, self._job_id)):
             late = time.monotonic() > deadline
-            self._queue.cancel(
-                [name for name, status in tasks.items() if late or status == "ENQUEUED"]
-            )
+            ending = [name for name, status in tasks.items() if late or status == "ENQUEUED"]
+            self._patiently(self._queue.cancel, ending)
             if self._services.shutdown.wait(self._services.settings.poll_s):
                 raise TaskStopped(SHUTDOWN)
         closed = self._patiently(self._services.runs.close, self._job_id, stop)

@@ -43,6 +43,9 @@ class QueueSettings(BaseSettings):
         Workers that may be lost under one task before it is given up as poison.
     reconcile_s, retention_s
         How often rows and engine are compared; how long the engine keeps ended workflows.
+    garbage_every_s, garbage_grace_s
+        How often a worker collects garbage; the age below which no blob and no remembered result
+        goes.  The latter must exceed the longest task.
     """
 
     model_config = SettingsConfigDict(env_prefix="PRTBAKE_", extra="ignore")
@@ -62,6 +65,8 @@ class QueueSettings(BaseSettings):
     worker_losses: Count = 3
     reconcile_s: Seconds = 10.0
     retention_s: Seconds = 7 * 86400.0
+    garbage_every_s: Seconds = 3600.0
+    garbage_grace_s: Annotated[float, Field(ge=86400.0)] = 7 * 86400.0
 
     def model_post_init(self, _context: object) -> None:
         """Fill in the URLs that follow from ``data_dir``."""

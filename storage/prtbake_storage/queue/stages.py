@@ -2,20 +2,17 @@
 
 A job kind is a list of `Stage`; a stage is a list of `Task` that may run at once on any worker, and
 the next stage's tasks are a pure function of the results so far.  A task is a pure function of its
-arguments, named by the digest of both, and its result is remembered under that name: it is never
-run again, whichever worker, retry or recovery asks.
+arguments, named by the digest of both and of the code, and its result is remembered under that
+name: it is never run again, whichever worker, retry or recovery asks.
 """
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
-from prtbake_storage.blobs.base import canonical_json
-
-CODE_VERSION = "2"
-"""Part of every task's name: raise it when the same arguments give other results than before."""
+from prtbake_storage.blobs.base import json_digest
+from prtbake_storage.queue.code import code_version
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class Task:
     function
         ``module:name`` of ``f(args, context) -> dict``.
     args
-        JSON; with ``function`` and ``threads`` all that the result depends on.
+        JSON; with ``function``, ``threads`` and the code all that the result depends on.
     label
         For people, in logs.
     threads
@@ -51,9 +48,14 @@ class Task:
             "function": self.function,
             "args": self.args,
             "threads": self.threads,
-            "code": CODE_VERSION,
+            "code": code_version(),
         }
-        return hashlib.sha256(canonical_json(identity).encode()).hexdigest()
+        return json_digest(identity)
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return self.label or self.function
 
     def to_dict(self) -> dict[str, Any]:
         """Write as JSON."""

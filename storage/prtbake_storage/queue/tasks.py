@@ -8,6 +8,7 @@ from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.jobs import JobError
+from prtbake_storage.queue.attempts import Attempts
 from prtbake_storage.queue.child import run_task_in_child
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
 from prtbake_storage.queue.memo import Memory, recall, remember
@@ -41,21 +42,30 @@ class Services:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task ended: ``done`` (its result is remembered), ``failed`` or ``stopped``."""
+    """How a task ended: ``done``, ``failed`` or ``stopped``.
+
+    Attributes
+    ----------
+    key
+        Under what the result of a task that is done is remembered: the name that the task has with
+        the code of the worker that ran it, which in the midst of an upgrade may not be the
+        parent's.
+    """
 
     status: str
     error: JobError | None = None
+    key: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Write as JSON."""
         error = self.error.model_dump() if self.error is not None else None
-        return {"status": self.status, "error": error}
+        return {"status": self.status, "error": error, "key": self.key}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Outcome":
         """Read back."""
         error = JobError.model_validate(data["error"]) if data["error"] else None
-        return Outcome(data["status"], error)
+        return Outcome(data["status"], error, data["key"])
 
 
 class TaskRun:
@@ -69,16 +79,20 @@ class TaskRun:
         self._last_progress = 0.0
         self._fields = {
             "job_id": job_id, "stage": stage, "position": position,
-            "task": task.label or task.function,
+            "task": task.title,
         }  # fmt: skip
+        self._attempts = Attempts(
+            services.settings, services.shutdown, check_stop=self._check_stop, tell=self._retrying
+        )
 
     def run(self) -> Outcome:
         """Run to an outcome; raises `TaskStopped` only when this worker shuts down."""
+        store, task, attempts = self._services.store, self._task, self._attempts
         try:
             self._check_stop()
-            if recall(self._services.store, self._task.key) is None:
-                memory = self._attempts()
-                remember(self._services.store, self._task.key, memory)
+            if attempts.make(f"recalling {task.title}", recall, store, task.key) is None:
+                memory = attempts.make(f"running {task.title}", self._once)
+                attempts.make(f"remembering {task.title}", remember, store, task.key, memory)
         except TaskStopped as stopped:
             _log.info("task.stopped", extra={**self._fields, "reason": stopped.reason})
             if stopped.reason == SHUTDOWN:
@@ -90,31 +104,13 @@ class TaskRun:
         except Exception as error:  # noqa: BLE001 - logged whole, and the outcome says it
             _log.exception("task.crashed", extra=self._fields)
             return Outcome("failed", describe(error))
-        return Outcome("done")
-
-    def _attempts(self) -> Memory:
-        settings = self._services.settings
-        for attempt in range(1, settings.task_attempts + 1):
-            started = time.monotonic()
-            _log.info("task.started", extra={**self._fields, "attempt": attempt})
-            try:
-                memory = self._once()
-            except TaskFailed as failed:
-                if not failed.retryable or attempt == settings.task_attempts:
-                    raise
-                fields = {**self._fields, "attempt": attempt, "error": failed.error.detail}
-                _log.warning("task.retried", extra=fields)
-                self._log_event(f"retrying after: {failed.error.detail}")
-                self._pause(settings.retry_wait_s * 2 ** (attempt - 1))
-            else:
-                seconds = time.monotonic() - started
-                _log.info("task.done", extra={**self._fields, "seconds_s": seconds})
-                return memory
-        raise AssertionError("unreachable: the last attempt returns or raises")
+        return Outcome("done", key=self._task.key)
 
     def _once(self) -> Memory:
+        started = time.monotonic()
+        _log.info("task.started", extra=self._fields)
         with self._services.store.scratch() as scratch:
-            return run_task_in_child(
+            memory = run_task_in_child(
                 self._task,
                 store_url=self._services.store.url,
                 scratch=scratch,
@@ -122,12 +118,13 @@ class TaskRun:
                 should_stop=self._should_stop,
                 check_s=self._services.settings.cancel_check_s,
             )
+        seconds = time.monotonic() - started
+        _log.info("task.done", extra={**self._fields, "seconds_s": seconds})
+        return memory
 
-    def _pause(self, seconds: float) -> None:
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            self._check_stop()
-            self._services.shutdown.wait(min(0.25, seconds))
+    def _retrying(self, detail: str) -> None:
+        _log.warning("task.retried", extra={**self._fields, "error": detail})
+        self._log_event(f"retrying after: {detail}")
 
     def _check_stop(self) -> None:
         if (reason := self._should_stop()) is not None:
@@ -163,6 +160,6 @@ class TaskRun:
             Events(self._services.database).log,
             self._job_id,
             message,
-            task=self._task.label or self._task.function,
+            task=self._task.title,
             **fields,
         )

@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.queue.code import code_version
 from prtbake_storage.queue.engine import Engine, Handlers, JobQueue, Slots
 from prtbake_storage.queue.failures import TaskStopped
+from prtbake_storage.queue.garbage import Collector
 from prtbake_storage.queue.heart import Heart
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.reconcile import Reconciler
@@ -61,13 +63,15 @@ class WorkerProcess:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._shutdown.set())
         settings = self._settings
+        code = code_version()  # now: sources that change later are not those loaded here
         self._store.sweep_scratch(older_than_s=STALE_SCRATCH_S)
         # before the first claim: nobody may take our work for a dead worker's
         self._heart.beat()
         self._engine.launch(
             Slots(settings.job_slots, settings.tile_slots, settings.quick_slots, settings.poll_s)
         )
-        _log.info("worker.started", extra={"worker": self._executor_id, "pid": os.getpid()})
+        fields = {"worker": self._executor_id, "pid": os.getpid(), "code": code}
+        _log.info("worker.started", extra=fields)
         watchdog = Watchdog(
             engine=self._engine,
             queue=self._queue,
@@ -78,6 +82,8 @@ class WorkerProcess:
             settings=settings,
         )
         threading.Thread(target=watchdog.run, args=(self._shutdown,), daemon=True).start()
+        collector = Collector(self._database, self._store, self._runner, settings)
+        threading.Thread(target=collector.run, args=(self._shutdown,), daemon=True).start()
         Reconciler(
             self._database,
             self._queue,

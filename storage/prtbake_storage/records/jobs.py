@@ -15,7 +15,7 @@ from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.events import append_event
 from prtbake_storage.records.models import ArtefactRow, JobRow
-from prtbake_storage.records.pages import decode_cursor, encode_cursor
+from prtbake_storage.records.pages import read_page
 from prtbake_storage.records.rows import to_job
 
 
@@ -122,34 +122,23 @@ class Jobs:
         limit: int = 20,
     ) -> JobPage:
         """List jobs, newest first, ``limit`` a page; filters are combined by *and*."""
-        query = sa.select(JobRow).where(JobRow.internal == internal)
+        filters = [JobRow.internal == internal]
         if project is not None:
-            query = query.where(JobRow.project == project)
+            filters.append(JobRow.project == project)
         if states:
-            query = query.where(JobRow.state.in_([state.value for state in states]))
+            filters.append(JobRow.state.in_([state.value for state in states]))
         if kinds:
-            query = query.where(JobRow.kind.in_(list(kinds)))
+            filters.append(JobRow.kind.in_(list(kinds)))
         if label is not None:
-            query = query.where(JobRow.label == label)
+            filters.append(JobRow.label == label)
         if created_after is not None:
-            query = query.where(JobRow.created > created_after)
+            filters.append(JobRow.created > created_after)
         if created_before is not None:
-            query = query.where(JobRow.created < created_before)
-        if cursor is not None:
-            created, job_id = decode_cursor(cursor)
-            query = query.where(
-                sa.or_(
-                    JobRow.created < created,
-                    sa.and_(JobRow.created == created, JobRow.id < job_id),
-                )
-            )
-        query = query.order_by(JobRow.created.desc(), JobRow.id.desc()).limit(limit + 1)
+            filters.append(JobRow.created < created_before)
         with self._database.read() as session:
-            rows = list(session.scalars(query))
-            shown = rows[:limit]
-            artefacts = _artefacts(session, [row.id for row in shown])
-        more = encode_cursor(shown[-1].created, shown[-1].id) if len(rows) > limit else None
-        return JobPage(items=[to_job(row, artefacts[row.id]) for row in shown], next=more)
+            rows, more = read_page(session, JobRow, filters, cursor=cursor, limit=limit)
+            artefacts = _artefacts(session, [row.id for row in rows])
+        return JobPage(items=[to_job(row, artefacts[row.id]) for row in rows], next=more)
 
     def counts(self) -> dict[str, int]:
         """How many jobs stand in each state."""

@@ -1,10 +1,39 @@
-"""Cursors: where the next page of a list starts."""
+"""Lists in pages, newest first, and cursors: where the next page starts."""
 
 import base64
 import binascii
+from collections.abc import Sequence
 from datetime import datetime
+from typing import TypeVar
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
 
 from prtbake_storage.errors import InputError
+from prtbake_storage.records.models import JobRow, ResourceRow
+
+Row = TypeVar("Row", JobRow, ResourceRow)
+
+
+def read_page(
+    session: Session,
+    row_type: type[Row],
+    filters: Sequence[sa.ColumnElement[bool]],
+    *,
+    cursor: str | None,
+    limit: int,
+) -> tuple[list[Row], str | None]:
+    """Read the rows that pass all filters, ``limit`` a page, and name the next page if any."""
+    query = sa.select(row_type).where(*filters)
+    if cursor is not None:
+        created, row_id = decode_cursor(cursor)
+        same_time = sa.and_(row_type.created == created, row_type.id < row_id)
+        query = query.where(sa.or_(row_type.created < created, same_time))
+    query = query.order_by(row_type.created.desc(), row_type.id.desc()).limit(limit + 1)
+    rows = list(session.scalars(query))
+    shown = rows[:limit]
+    more = encode_cursor(shown[-1].created, shown[-1].id) if len(rows) > limit else None
+    return shown, more
 
 
 def encode_cursor(created: datetime, row_id: str) -> str:

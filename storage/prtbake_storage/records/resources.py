@@ -12,7 +12,7 @@ from prtbake_storage.errors import NotFound
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.models import JobRow, ResourceRow
-from prtbake_storage.records.pages import decode_cursor, encode_cursor
+from prtbake_storage.records.pages import read_page
 
 CONTEXT_KEY = "resource_id"
 """A job whose context has this key writes its outcome to that resource as well."""
@@ -65,23 +65,6 @@ class Resources:
                 raise NotFound(f"there is no resource {resource_id}")
             return to_resource(row)
 
-    def list(
-        self,
-        *,
-        project: str | None = None,
-        kind: ResourceKind | None = None,
-        limit: int = 100,
-    ) -> list[Resource]:
-        """List resources, newest first."""
-        query = sa.select(ResourceRow)
-        if project is not None:
-            query = query.where(ResourceRow.project == project)
-        if kind is not None:
-            query = query.where(ResourceRow.kind == kind)
-        query = query.order_by(ResourceRow.created.desc(), ResourceRow.id.desc()).limit(limit)
-        with self._database.read() as session:
-            return [to_resource(row) for row in session.scalars(query)]
-
     def page(
         self,
         *,
@@ -91,24 +74,14 @@ class Resources:
         limit: int = 20,
     ) -> ResourcePage:
         """List resources, newest first, ``limit`` a page."""
-        query = sa.select(ResourceRow)
+        filters = []
         if project is not None:
-            query = query.where(ResourceRow.project == project)
+            filters.append(ResourceRow.project == project)
         if kind is not None:
-            query = query.where(ResourceRow.kind == kind)
-        if cursor is not None:
-            created, resource_id = decode_cursor(cursor)
-            query = query.where(
-                sa.or_(
-                    ResourceRow.created < created,
-                    sa.and_(ResourceRow.created == created, ResourceRow.id < resource_id),
-                )
-            )
-        query = query.order_by(ResourceRow.created.desc(), ResourceRow.id.desc()).limit(limit + 1)
+            filters.append(ResourceRow.kind == kind)
         with self._database.read() as session:
-            rows = session.scalars(query).all()
-        more = rows[limit:] and encode_cursor(rows[limit - 1].created, rows[limit - 1].id)
-        return ResourcePage(items=[to_resource(row) for row in rows[:limit]], next=more or None)
+            rows, more = read_page(session, ResourceRow, filters, cursor=cursor, limit=limit)
+        return ResourcePage(items=[to_resource(row) for row in rows], next=more)
 
     def ready(self, resource_id: str, *, canonical: str, understood: dict[str, Any]) -> None:
         """Record what was understood; a resource parsed again may turn from refused to ready."""

@@ -25,6 +25,8 @@ from prtbake_storage.records.transitions import before
 
 EndState = Literal[JobState.failed, JobState.canceled, JobState.expired]
 
+_UNFINISHED = JobRow.state.not_in([state.value for state in TERMINAL])
+
 
 @dataclass(frozen=True)
 class Run:
@@ -64,6 +66,15 @@ class Unfinished(NamedTuple):
     state: JobState
     quick: bool
     priority: int
+
+
+class Given(NamedTuple):
+    """What a job that is not terminal was given."""
+
+    job_id: str
+    kind: str
+    request: dict[str, Any]
+    context: dict[str, Any]
 
 
 class TaskProgress(NamedTuple):
@@ -229,11 +240,19 @@ class Runs:
         with self._database.read() as session:
             rows = session.execute(
                 sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority)
-                .where(JobRow.state.not_in([state.value for state in TERMINAL]))
+                .where(_UNFINISHED)
                 .order_by(JobRow.created, JobRow.id)
                 .limit(limit)
             )
             return [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+
+    def given(self) -> list[Given]:
+        """Tell what all jobs that are not terminal were given."""
+        with self._database.read() as session:
+            rows = session.execute(
+                sa.select(JobRow.id, JobRow.kind, JobRow.request, JobRow.context).where(_UNFINISHED)
+            )
+            return [Given(*row) for row in rows]
 
 
 def _move(session: Session, row: JobRow, state: JobState) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from prtbake_storage.blobs import LocalBlobStore, collect_garbage, open_store
-from prtbake_storage.blobs.base import referenced_digests
+from prtbake_storage.blobs.base import RENEW_AFTER_S, referenced_digests
 from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.testing.blob_contract import BlobStoreContract, digest_of
 
@@ -118,10 +118,15 @@ def test_only_old_scratch_is_swept_without_an_owner(store: LocalBlobStore) -> No
     old = store.root / "scratch" / "gone" / "job"
     old.mkdir(parents=True)
     os.utime(old, (time.time() - 1000.0,) * 2)
+    # what a collector had set aside when it was killed
+    aside = store.root / "scratch" / "0123.4567"
+    aside.write_bytes(b"garbage")
+    os.utime(aside, (time.time() - 1000.0,) * 2)
     new = store.root / "scratch" / "busy" / "job"
     new.mkdir(parents=True)
-    assert store.sweep_scratch(older_than_s=500.0) == 1
+    assert store.sweep_scratch(older_than_s=500.0) == 2
     assert not old.exists()
+    assert not aside.exists()
     assert new.exists()
 
 
@@ -144,26 +149,88 @@ def test_a_url_or_a_path_opens_the_same_store(tmp_path: Path) -> None:
         assert caught.value.pointer == "/blob_url"
 
 
-def test_garbage_is_old_and_unreferenced(store: LocalBlobStore) -> None:
-    kept, lost = store.put_bytes(b"kept"), store.put_bytes(b"lost!")
-    store.put_result("e" * 64, {"digest": lost})
-    assert collect_garbage(store, {kept}, older_than_s=100.0).n_blobs == 0
+OLD_S = 10.0 * RENEW_AFTER_S
+GRACE_S = 5.0 * RENEW_AFTER_S
+
+
+def age(store: LocalBlobStore) -> None:
+    """Make everything in the store old."""
     for path in files_under(store.root):
-        os.utime(path, (time.time() - 1000.0,) * 2)
+        os.utime(path, (time.time() - OLD_S,) * 2)
+
+
+def test_garbage_is_old_and_unreferenced(store: LocalBlobStore) -> None:
+    kept, lost, mine = (store.put_bytes(data) for data in (b"kept", b"lost!", b"mine"))
+    store.put_result("e" * 64, {"digest": lost})
+    store.put_result("f" * 64, {"digest": mine})
+    assert collect_garbage(store, {kept}, older_than_s=GRACE_S).n_blobs == 0
+    age(store)
     fresh = store.put_bytes(b"fresh")
-    plan = collect_garbage(store, {kept}, older_than_s=100.0, dry_run=True)
+    keep = {"keep": {kept}, "keep_results": {"f" * 64}, "older_than_s": GRACE_S}
+    plan = collect_garbage(store, **keep, dry_run=True)
     assert (plan.n_blobs, plan.n_bytes, plan.n_results) == (1, 5, 1)
     assert store.exists(lost)
-    assert collect_garbage(store, {kept}, older_than_s=100.0).n_bytes == 5
-    assert [blob.digest for blob in store.blobs()] == sorted([kept, fresh])
+    assert collect_garbage(store, **keep).n_bytes == 5
+    assert [blob.digest for blob in store.blobs()] == sorted([kept, fresh, mine])
     assert store.get_result("e" * 64) is None
+    assert store.get_result("f" * 64) == {"digest": mine}
 
 
-def test_putting_a_blob_again_keeps_the_collector_away(store: LocalBlobStore) -> None:
+def test_an_old_blob_that_a_young_result_names_is_no_garbage(store: LocalBlobStore) -> None:
+    digest = store.put_bytes(b"passed on by a later task")
+    age(store)
+    store.put_result("e" * 64, {"parts": [{"digest": digest}]})
+    assert collect_garbage(store, set(), older_than_s=GRACE_S).n_blobs == 0
+    age(store)
+    assert collect_garbage(store, set(), older_than_s=GRACE_S).n_blobs == 1
+
+
+@pytest.mark.parametrize("how", ["put", "renew"])
+def test_using_a_blob_again_keeps_the_collector_away(store: LocalBlobStore, how: str) -> None:
     digest = store.put_bytes(b"needed again")
-    os.utime(store.local_path(digest), (time.time() - 1000.0,) * 2)
-    store.put_bytes(b"needed again")
-    assert collect_garbage(store, set(), older_than_s=100.0).n_blobs == 0
+    age(store)
+    if how == "put":
+        store.put_bytes(b"needed again")
+    else:
+        assert store.renew(digest)
+    assert collect_garbage(store, set(), older_than_s=GRACE_S).n_blobs == 0
+
+
+def test_what_is_gone_cannot_be_renewed_and_what_is_fresh_need_not(store: LocalBlobStore) -> None:
+    digest = store.put_bytes(b"data")
+    store.put_result("a" * 64, {})
+    before = [path.stat().st_mtime_ns for path in files_under(store.root)]
+    assert store.renew(digest)
+    assert store.renew_result("a" * 64)
+    assert [path.stat().st_mtime_ns for path in files_under(store.root)] == before
+    store.delete(digest)
+    store.delete_result("a" * 64)
+    assert not store.renew(digest)
+    assert not store.renew_result("a" * 64)
+
+
+def test_what_is_used_while_garbage_is_collected_stays(
+    store: LocalBlobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used, lost = store.put_bytes(b"used"), store.put_bytes(b"lost")
+    store.put_result("a" * 64, {"digest": used})
+    age(store)
+    delete_result = store.delete_result
+
+    def use_first(key: str, **limit: float) -> bool:
+        # the collector has looked already: both are old, and nothing refers to them
+        assert store.renew_result(key)
+        assert store.renew(used)
+        return delete_result(key, **limit)
+
+    monkeypatch.setattr(store, "delete_result", use_first)
+    report = collect_garbage(store, set(), older_than_s=GRACE_S)
+    assert (report.n_results, report.n_blobs) == (0, 1)
+    assert store.get_result("a" * 64) == {"digest": used}
+    assert store.read_bytes(used) == b"used"
+    assert not store.exists(lost)
+    assert store.local_path(used).stat().st_mode & 0o777 == 0o444
+    assert list((store.root / "scratch").iterdir()) == []
 
 
 def test_digests_are_found_inside_json() -> None:

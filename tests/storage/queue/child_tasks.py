@@ -11,6 +11,7 @@ from typing import Any
 
 from prtbake_storage.errors import MeshError
 from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 
 
 def surroundings(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
@@ -43,6 +44,8 @@ def fail(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
         raise MeshError("vertex 7 is NaN", pointer="/blob")
     if how == "bug":
         return {}["missing"]  # type: ignore[no-any-return]
+    if how == "eio":
+        raise OSError(5, "Input/output error")
     if how == "no-dict":
         return [1]  # type: ignore[return-value]
     if how == "nan":
@@ -73,3 +76,36 @@ def stray_thread(_args: dict[str, Any], _context: TaskContext) -> dict[str, Any]
     """Leave a thread behind that would keep the process alive."""
     threading.Thread(target=time.sleep, args=(600.0,)).start()
     return {"fine": True}
+
+
+def store_text(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Leave a blob."""
+    return {"digest": context.store.put_bytes(args["text"].encode())}
+
+
+class TwoStages:
+    """A task for each of the request's words, then one that puts them together."""
+
+    def stages(self, kind: str, request: dict[str, Any], _context: dict[str, Any]) -> list[Stage]:
+        """List the stages."""
+        if kind != "words":
+            raise MeshError(f"there is no kind {kind}")
+
+        def words(_: Results) -> list[Task]:
+            return [Task("child_tasks:store_text", {"text": word}) for word in request["words"]]
+
+        def join(results: Results) -> list[Task]:
+            digests = [word["digest"] for word in results["words"]]
+            return [Task("child_tasks:store_text", {"text": " ".join(digests)})]
+
+        return [Stage("words", "words", 1.0, words), Stage("join", "files", 1.0, join)]
+
+    def finish(
+        self, _kind: str, _request: dict[str, Any], _context: dict[str, Any], results: Results
+    ) -> Finished:
+        """Name the file."""
+        digest = results["join"][0]["digest"]
+        return Finished({}, [("joined.txt", "text/plain", digest)])
+
+
+TWO_STAGES = TwoStages()

@@ -32,7 +32,7 @@ def messages() -> list[dict[str, Any]]:
 @pytest.fixture
 def run(tmp_path: Path, messages: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run a task of `child_tasks`."""
-    monkeypatch.setenv("PYTHONPATH", HERE)
+    monkeypatch.setenv("PYTHONPATH", HERE, prepend=os.pathsep)
     store = LocalBlobStore(tmp_path / "store")
 
     def run(
@@ -90,6 +90,7 @@ def test_only_the_tasks_own_words_count(run: Run, messages: list[dict[str, Any]]
         ("bug", "internal", "internal", "KeyError: 'missing'", False),
         ("no-dict", "internal", "internal", "must return a dict, not list", False),
         ("nan", "internal", "internal", "JSON compliant", False),
+        ("eio", "resource", "io-error", "OSError: [Errno 5] Input/output error", True),
         ("segfault", "resource", "task-died", "SIGSEGV", True),
         ("exit", "resource", "task-died", "exited with 7: giving up", False),
     ],
@@ -158,7 +159,7 @@ def test_a_task_dies_with_a_parent_that_was_killed(tmp_path: Path) -> None:
         [sys.executable, "-c", code, str(tmp_path)],
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": HERE},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([HERE, *sys.path])},
     )
     assert parent.stdout is not None
     pids = json.loads(parent.stdout.readline())["log"]

@@ -10,14 +10,7 @@ import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
-from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers, create_database
-
-
-@pytest.fixture
-def database(database_url: str) -> Iterator[Database]:
-    database = create_database(database_url)
-    yield database
-    database.dispose()
+from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
 
 
 @pytest.fixture
@@ -53,12 +46,18 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert reconcile_once(database, queue) == 0
 
     # tasks share their job's prefix, and no other job's
-    queue.submit_task("sent", 0, 0, {"x": 1}, priority=3)
-    queue.submit_task("sent", 0, 1, {"x": 2}, priority=3)
-    queue.submit_task("sent2", 0, 0, {"x": 3}, priority=3)
-    assert queue.open_tasks("sent") == {"sent.0.0": "ENQUEUED", "sent.0.1": "ENQUEUED"}
-    queue.cancel(["sent.0.0"])
-    assert queue.open_tasks("sent") == {"sent.0.1": "ENQUEUED"}
+    key = "0123456789abcdef" * 4
+    first, second, other = (
+        queue.submit_task(job, 0, position, {"x": 1}, key=key, priority=3)
+        for job, position in (("sent", 0), ("sent", 1), ("sent2", 0))
+    )
+    assert first == queue.submit_task("sent", 0, 0, {"x": 1}, key=key, priority=3)
+    assert queue.open_tasks("sent") == {first: "ENQUEUED", second: "ENQUEUED"}
+    queue.cancel([first])
+    assert queue.open_tasks("sent") == {second: "ENQUEUED"}
+    # what the old code has ended is not in the new code's way
+    renewed = queue.submit_task("sent", 0, 0, {"x": 1}, key=key[::-1], priority=3)
+    assert queue.open_tasks("sent") == {renewed: "ENQUEUED", second: "ENQUEUED"}
     assert queue.claims(["nobody"]) == []
 
     # a row whose workflow was ended behind its back is closed
@@ -84,7 +83,7 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     queue.forget("sent")
     assert not queue.known("sent")
     assert queue.open_tasks("sent") == {}
-    assert queue.open_tasks("sent2") == {"sent2.0.0": "ENQUEUED"}
+    assert queue.open_tasks("sent2") == {other: "ENQUEUED"}
     assert queue.prune("2000-01-01T00:00:00+00:00") == 0
     assert queue.prune("2999-01-01T00:00:00+00:00") == 1
     assert not queue.known("ended")

@@ -6,9 +6,11 @@ import time
 import pytest
 from sqlalchemy.exc import IntegrityError, OperationalError
 
+from prtbake_storage.contract.jobs import JobError
+from prtbake_storage.errors import ResourceExhausted
 from prtbake_storage.queue import heart as heart_module
 from prtbake_storage.queue import patience
-from prtbake_storage.queue.failures import TaskStopped, describe
+from prtbake_storage.queue.failures import TaskFailed, TaskStopped, describe, may_pass
 from prtbake_storage.queue.heart import Heart
 from prtbake_storage.queue.patience import patiently
 from prtbake_storage.queue.settings import QueueSettings, new_executor_id
@@ -102,10 +104,40 @@ def test_errors_are_told_in_the_words_of_the_wire() -> None:
     assert describe(MemoryError()).code == "out-of-memory"
     assert describe(OSError(28, "No space left on device")).code == "disk-full"
     assert describe(OSError(2, "No such file")).kind == "internal"
+    assert describe(OSError(116, "Stale file handle")).code == "io-error"
+    failed = JobError(kind="resource", code="task-died", detail="killed")
+    assert describe(TaskFailed(failed)) == failed
     assert (
         describe(ZeroDivisionError("division by zero")).detail
         == "ZeroDivisionError: division by zero"
     )
+
+
+class Passing(ResourceExhausted):
+    retryable = True
+
+
+@pytest.mark.parametrize(
+    ("error", "passes"),
+    [
+        (OSError(5, "Input/output error"), True),
+        (OSError(116, "Stale file handle"), True),
+        (BlockingIOError(11, "Resource temporarily unavailable"), True),
+        (ConnectionResetError("without a number"), True),
+        (TimeoutError("without a number"), True),
+        (Passing("not yet"), True),
+        (TaskFailed(describe(MemoryError()), retryable=True), True),
+        (TaskFailed(describe(MemoryError())), False),
+        (OSError(28, "No space left on device"), False),
+        (OSError(12, "Cannot allocate memory"), False),
+        (PermissionError(13, "Permission denied"), False),
+        (FileNotFoundError(2, "No such file"), False),
+        (ResourceExhausted("for good"), False),
+        (ValueError("a bug"), False),
+    ],
+)
+def test_what_may_pass_is_known_by_kind_and_number(error: Exception, *, passes: bool) -> None:
+    assert may_pass(error) == passes
 
 
 def test_settings_travel_through_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ def test_a_task_is_named_by_all_that_its_result_depends_on(
         Task("m:f", {"a": 1, "b": [2.5]}, threads=2),
     ]
     assert len({task.key, *(other.key for other in others)}) == 5
-    monkeypatch.setattr(stages, "CODE_VERSION", "next")
+    monkeypatch.setattr(stages, "code_version", lambda: "next")
     assert Task("m:f", {"a": 1, "b": [2.5]}).key != task.key
 
 

@@ -168,8 +168,8 @@ def test_a_resource_is_created_once(database: Database) -> None:
     again, is_newer = resources.create(RESOURCE, "mesh", {"blob": digest_of(b"m")})
     assert (is_new, is_newer) == (True, False)
     assert made == again
-    assert [item.id for item in resources.list(kind="mesh")] == [RESOURCE]
-    assert resources.list(kind="brdf") == []
+    assert [item.id for item in resources.page(kind="mesh").items] == [RESOURCE]
+    assert resources.page(kind="brdf").items == []
     with pytest.raises(NotFound):
         resources.get(RESOURCE, project="other")
 

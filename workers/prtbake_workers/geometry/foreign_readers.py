@@ -20,7 +20,8 @@ from prtbake_workers.geometry.file_checks import (
     check_ply_lists,
     check_stl,
 )
-from prtbake_workers.geometry.glb_guard import UV_ATTRIBUTE, guard_glb
+from prtbake_workers.geometry.glb_guard import NORMAL_ATTRIBUTE, UV_ATTRIBUTE, guard_glb
+from prtbake_workers.geometry.ply_normals import ply_normals
 from prtbake_workers.geometry.raw_mesh import MeshLimits, RawMesh
 
 # what trimesh is known to raise on files that it cannot read
@@ -37,7 +38,8 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
     -------
     RawMesh
         All parts in one, each under its transform in the scene; a mirrored part is turned over
-        so that its outside stays outside.
+        so that its outside stays outside.  The normals that an STL gives are those of its facets:
+        they tell nothing about vertices, and are not read.
 
     Raises
     ------
@@ -59,6 +61,7 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
     positions: list[F64] = []
     faces: list[I64] = []
     uvs: list[F64] = []
+    normals: list[F64] = []
     n_vertices = 0
     for mesh, transform in parts:
         points = np.asarray(mesh.vertices, np.float64)
@@ -81,16 +84,18 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
         _check_corners(triangles, len(points), format)
         faces.append(triangles + n_vertices)
         uvs.append(_uv_of(mesh, len(points)))
+        normals.append(_normals_of(mesh, len(points), transform[:3, :3]))
         n_vertices += len(points)
     if not positions:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), warnings=notes)
-    uv = np.concatenate(uvs)
+    uv, normal = np.concatenate(uvs), np.concatenate(normals)
     limits.check(vertices=n_vertices, triangles=sum(len(part) for part in faces))
     return RawMesh(
         np.concatenate(positions),
         np.concatenate(faces),
         uv if np.isfinite(uv).any() else None,
         warnings=notes,
+        normals=normal if np.isfinite(normal).any() else None,
     )
 
 
@@ -133,6 +138,26 @@ def _uv_of(mesh: Any, n: int) -> F64:
         # glTF counts v from the top
         uv[:, 1] = 1.0 - uv[:, 1]
     return uv
+
+
+def _normals_of(mesh: Any, n: int, linear: F64) -> F64:
+    """Vertex normals under a node's transform: NaN where there are none, 0 where not finite."""
+    given = getattr(mesh, "vertex_attributes", {}).get(NORMAL_ATTRIBUTE)
+    if given is None:
+        given = ply_normals(mesh)
+    if given is None or np.shape(given) != (n, 3):
+        return np.full((n, 3), np.nan)
+    normals: F64 = np.array(given, np.float64)
+    # a normal is a pair of tangents crossed, so it turns by the cofactors; their size is no matter
+    a, b, c = linear / max(float(np.abs(linear).max()), np.finfo(np.float64).tiny)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    if np.linalg.det(linear) < 0.0:
+        # the triangles were turned over, and so keep their outside
+        cofactors = -cofactors
+    with np.errstate(invalid="ignore", over="ignore"):
+        normals = normals @ cofactors.T
+    normals[~np.isfinite(normals).all(axis=1)] = 0.0
+    return normals
 
 
 def _check_corners(triangles: I64, n: int, format: str) -> None:

@@ -18,6 +18,9 @@ UV_ATTRIBUTE = "_PRTBAKE_UV"
 """TEXCOORD_0 goes through trimesh as a custom attribute: it reads texture coordinates only
 together with a material, and materials bring pictures."""
 
+NORMAL_ATTRIBUTE = "_PRTBAKE_NORMAL"
+"""NORMAL goes the same way: trimesh would compute normals where a part has none."""
+
 MAX_OVERLAP = 16
 """Views of one file share its bytes at most this many times; well-made files do not share them."""
 
@@ -26,6 +29,8 @@ _TRIANGLES, _STRIP = 4, 5
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _TYPE_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _FLOAT = 5126
+_NORMAL_COMPONENTS = (5120, 5122, 5126)
+"""Signed bytes and shorts are normals times 127 and 32767: their direction is right as it is."""
 
 
 def guard_glb(data: bytes, limits: MeshLimits) -> tuple[bytes, list[str]]:
@@ -156,6 +161,13 @@ def _keep_primitive(
     if "TEXCOORD_0" in attributes:
         _check_accessor(header, attributes["TEXCOORD_0"], f"{where}.TEXCOORD_0", n_bytes, "VEC2")
         kept["attributes"][UV_ATTRIBUTE] = attributes["TEXCOORD_0"]
+    if "NORMAL" in attributes:
+        if _normals_are_plain(header, attributes["NORMAL"], f"{where}.NORMAL"):
+            index, place = attributes["NORMAL"], f"{where}.NORMAL"
+            _check_accessor(header, index, place, n_bytes, "VEC3", _NORMAL_COMPONENTS)
+            kept["attributes"][NORMAL_ATTRIBUTE] = index
+        else:
+            warnings.append(f"{where}: NORMAL is packed in a way that is not read: computed")
     if "indices" in primitive:
         _check_accessor(header, primitive["indices"], f"{where}.indices", n_bytes, "SCALAR")
         kept["indices"] = primitive["indices"]
@@ -182,7 +194,11 @@ def _keep_used(
     # each view is copied once and each accessor twice: overlapping ones multiply the file
     n_elements = sum(accessors[index]["count"] for index in used)
     n_view_bytes = sum(views[index]["byteLength"] for index in used_views)
-    if n_elements > 3 * limits.triangles or n_view_bytes > MAX_OVERLAP * n_bytes:
+    # three indices a triangle, three attributes a vertex
+    if (
+        n_elements > 3 * (limits.triangles + limits.vertices)
+        or n_view_bytes > MAX_OVERLAP * n_bytes
+    ):
         raise TooLarge(
             f"glTF accessors hold {n_elements} elements and views {n_view_bytes} bytes in all, "
             f"of a file with {n_bytes} bytes of data"
@@ -197,8 +213,24 @@ def _keep_used(
     )
 
 
+def _normals_are_plain(header: dict[str, Any], index: Any, where: str) -> bool:
+    """Whether normals can be read; where not they can be computed, so the file is not refused."""
+    accessor = _item(_list(header, "accessors"), index, where)
+    return (
+        accessor.get("type") == "VEC3"
+        and accessor.get("componentType") in _NORMAL_COMPONENTS
+        and "sparse" not in accessor
+        and "bufferView" in accessor
+    )
+
+
 def _check_accessor(
-    header: dict[str, Any], index: Any, where: str, n_bytes: int, kind: str
+    header: dict[str, Any],
+    index: Any,
+    where: str,
+    n_bytes: int,
+    kind: str,
+    components: tuple[int, ...] = (_FLOAT,),
 ) -> None:
     """Refuse an accessor that reaches beyond the file or that would be read wrongly."""
     accessor = _item(_list(header, "accessors"), index, where)
@@ -206,7 +238,7 @@ def _check_accessor(
     component = accessor.get("componentType")
     if accessor.get("type") != kind or component not in _COMPONENT_BYTES:
         raise MeshError(f"glTF {where}: a {accessor.get('type')} of {component}, not a {kind}")
-    if (component == _FLOAT) == (kind == "SCALAR"):
+    if component == _FLOAT if kind == "SCALAR" else component not in components:
         raise MeshError(f"glTF {where}: component type {component} is not read here")
     if "sparse" in accessor or "bufferView" not in accessor:
         raise MeshError(f"glTF {where}: sparse or without data, which is not read")

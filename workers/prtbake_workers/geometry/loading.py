@@ -3,9 +3,10 @@
 from prtbake_storage.errors import MeshError
 from prtbake_workers.geometry.foreign_readers import read_foreign
 from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.mesh_report import MeshReport
 from prtbake_workers.geometry.obj_reader import read_obj
 from prtbake_workers.geometry.raw_mesh import MeshLimits
-from prtbake_workers.geometry.repair import MeshReport, repair
+from prtbake_workers.geometry.repair import repair
 
 FORMATS = ("obj", "ply", "stl", "off", "glb")
 _OBJ_KEYWORDS = {b"v", b"vt", b"vn", b"f", b"o", b"g", b"s", b"mtllib", b"usemtl"}
@@ -17,6 +18,7 @@ def load_mesh(
     format: str,
     *,
     orient_outward: bool = True,
+    crease_angle_deg: float | None = None,
     limits: MeshLimits | None = None,
 ) -> tuple[Mesh, MeshReport]:
     """Read and repair a mesh.
@@ -29,6 +31,9 @@ def load_mesh(
         obj, ply, stl, off, glb, or auto: recognised by content.
     orient_outward
         Turn closed pieces that are inside out.  False for rooms that are seen from within.
+    crease_angle_deg
+        None keeps the normals of the file, and gives smooth ones where it has none; a number in
+        (0, 180] computes them, sharp along edges whose faces differ by more (see `repair`).
     limits
         Bounds on what the file may hold; None for the defaults.
 
@@ -44,13 +49,20 @@ def load_mesh(
         message says what and where.
     TooLarge
         The file exceeds a limit.
+    SettingsError
+        The crease angle is out of range.
     """
     limits = MeshLimits() if limits is None else limits
     kind = recognise_format(data) if format == "auto" else format.lower()
     if kind not in FORMATS:
         raise MeshError(f"format '{format}' is not one of auto, {', '.join(FORMATS)}")
     raw = read_obj(data, limits) if kind == "obj" else read_foreign(data, kind, limits)
-    return repair(raw, kind, orient_outward=orient_outward)
+    mesh, report = repair(
+        raw, kind, orient_outward=orient_outward, crease_angle_deg=crease_angle_deg
+    )
+    # creases may have split every corner of every triangle
+    limits.check(vertices=mesh.n_vertices)
+    return mesh, report
 
 
 def recognise_format(data: bytes) -> str:

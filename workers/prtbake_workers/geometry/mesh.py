@@ -33,7 +33,7 @@ class Mesh:
 
     @property
     def n_vertices(self) -> int:
-        """Number of vertices, UV splits counted."""
+        """Number of vertices; splits by UV, normal or crease count."""
         return len(self.positions)
 
     @property

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: the lines ``v``, ``vt`` and ``f``; everything else is passed over.
+"""Wavefront OBJ: the lines ``v``, ``vt``, ``vn`` and ``f``; everything else is passed over.
 
 Own reader, because trimesh refuses relative indices, drops the line number from its messages and
 follows ``mtllib``.  No other file is ever opened from here.
@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from prtbake_storage.errors import MeshError, PrtError
-from prtbake_workers.arrays import I64
+from prtbake_workers.arrays import F64, I64
 from prtbake_workers.geometry.polygons import triangulate
 from prtbake_workers.geometry.raw_mesh import MeshLimits, RawMesh
 
-_NO_UV, _BELOW = -1, -2
+_NONE, _BELOW = -1, -2
 _MEANING = {
     "v": "a position: three numbers",
     "vt": "a texture coordinate: two numbers",
@@ -28,8 +28,10 @@ class _Contents:
     def __init__(self) -> None:
         self.positions = array("d")
         self.uv = array("d")
+        self.normals = array("d")
         self.corner_positions = array("q")
         self.corner_uv = array("q")
+        self.corner_normals = array("q")
         self.counts = array("q")
         self.lines = array("q")
         self.short_faces: list[int] = []
@@ -49,8 +51,8 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
     -------
     RawMesh
         Polygons cut into triangles, relative (negative) indices resolved, vertices split by
-        texture coordinate alone: normals in the file are not read (they are often wrong, and
-        the repair computes them), nor are materials, groups and colours.
+        texture coordinate and normal.  Materials, groups and colours are not read.  A normal that
+        cannot be read does not make the file unreadable: the repair computes another.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
     counts = np.frombuffer(contents.counts, np.int64)
     lines = np.repeat(np.frombuffer(contents.lines, np.int64), counts)
     _check_indices(corners, len(positions), lines, "vertex")
-    has_uv = corner_uv != _NO_UV
+    has_uv = corner_uv != _NONE
     _check_indices(corner_uv[has_uv], len(uv), lines[has_uv], "texture coordinate")
     limits.check(triangles=int((counts - 2).sum()))
     triangles, _ = triangulate(positions, corners, counts)
@@ -78,31 +80,76 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
             f"{len(contents.short_faces)} faces with fewer than three corners left out, "
             f"the first on line {contents.short_faces[0]}"
         )
-    n_polygons = int(np.count_nonzero(counts > 3))
-    n_short = len(contents.short_faces)
-    if not has_uv.any():
-        return RawMesh(
-            positions, corners[triangles], None, None, n_polygons, n_short, warnings
-        )  # fmt: skip
-    # one vertex for each pair (v, vt); those that no face uses come last, for the repair to count
-    key = corners * (len(uv) + 1) + corner_uv + 1
-    unique, split = np.unique(key, return_inverse=True)
-    label = unique // (len(uv) + 1)
-    unused = np.setdiff1d(np.arange(len(positions)), label)
-    label = np.concatenate([label, unused])
-    uv_of = np.concatenate([unique % (len(uv) + 1) - 1, np.full(len(unused), -1)])
-    split_uv = np.vstack([uv, [np.nan, np.nan]])[uv_of]
+    normals, corner_normals = _usable_normals(contents, lines, warnings)
+    label, uv_of, normal_of, split = _split_vertices(
+        len(positions), corners, (corner_uv, len(uv)), (corner_normals, len(normals))
+    )
     limits.check(vertices=len(label))
     return RawMesh(
-        positions[label], split[triangles], split_uv, label, n_polygons, n_short, warnings
+        positions=positions[label],
+        faces=split[triangles],
+        uv=np.vstack([uv, [np.nan] * 2])[uv_of] if has_uv.any() else None,
+        vertex_labels=label,
+        n_polygons=int(np.count_nonzero(counts > 3)),
+        n_short_faces=len(contents.short_faces),
+        warnings=warnings,
+        normals=np.vstack([normals, [np.nan] * 3])[normal_of] if len(normals) else None,
+    )
+
+
+def _usable_normals(contents: _Contents, lines: I64, warnings: list[str]) -> tuple[F64, I64]:
+    """Give the normals, 0 0 0 for what is not finite, and their indices; none if no corner has one.
+
+    An index that points nowhere counts as none: many tools drop the normals and leave the indices.
+    """
+    normals = np.frombuffer(contents.normals, np.float64).reshape(-1, 3)
+    index = np.frombuffer(contents.corner_normals, np.int64)
+    astray = np.flatnonzero((index != _NONE) & ((index < 0) | (index >= len(normals))))
+    if len(astray):
+        warnings.append(
+            f"{len(astray)} corners name a normal that the file does not hold, the first on line "
+            f"{lines[astray[0]]}: computed"
+        )
+        index = index.copy()
+        index[astray] = _NONE
+    if (index == _NONE).all():
+        return np.zeros((0, 3)), np.full(len(index), _NONE, np.int64)
+    return np.where(np.isfinite(normals).all(axis=1, keepdims=True), normals, 0.0), index
+
+
+def _split_vertices(
+    n_positions: int, corners: I64, uv: tuple[I64, int], normals: tuple[I64, int]
+) -> tuple[I64, I64, I64, I64]:
+    """Make one vertex for each triple (v, vt, vn); those that no face uses come last.
+
+    Returns position, texture coordinate and normal of each vertex (-1 for none), and the vertex of
+    each corner.  ``uv`` and ``normals`` are the corners' indices and the counts.
+    """
+    if (uv[0] == _NONE).all() and (normals[0] == _NONE).all():
+        every = np.arange(n_positions)
+        return every, np.full(n_positions, _NONE), np.full(n_positions, _NONE), corners
+    split = corners
+    for index, count in (uv, normals):
+        # numbered anew after each table, so that the products stay within 64 bits
+        _, first, split = np.unique(
+            split * (count + 1) + index + 1, return_index=True, return_inverse=True
+        )
+    label = corners[first]
+    unused = np.setdiff1d(np.arange(n_positions), label)
+    none = np.full(len(unused), _NONE)
+    return (
+        np.concatenate([label, unused]),
+        np.concatenate([uv[0][first], none]),
+        np.concatenate([normals[0][first], none]),
+        split.astype(np.int64),
     )
 
 
 def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
     """Fill the tables; one loop without calls, because files have 100,000 lines and more."""
     contents = _Contents()
-    positions, uvs = contents.positions, contents.uv
-    n_positions = n_uvs = 0
+    positions, uvs, normals = contents.positions, contents.uv, contents.normals
+    n_positions = n_uvs = n_normals = 0
     for number, words in _split_lines(data):
         keyword, values = words[0], words[1:]
         try:
@@ -117,6 +164,9 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
                 u, v = values[:2] if len(values) > 1 else (*values, "0")
                 uvs.extend((float(u), float(v)))
                 n_uvs += 1
+            elif keyword == "vn":
+                normals.extend(_read_normal(values))
+                n_normals += 1
             elif keyword == "f":
                 if len(values) < 3:
                     contents.short_faces.append(number)
@@ -135,7 +185,13 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
                         index = index - 1 if index > 0 else n_uvs + index if index else _BELOW
                         contents.corner_uv.append(index if index >= 0 else _BELOW)
                     else:
-                        contents.corner_uv.append(_NO_UV)
+                        contents.corner_uv.append(_NONE)
+                    if len(fields) > 2 and fields[2]:
+                        index = int(fields[2])
+                        index = index - 1 if index > 0 else n_normals + index if index else _BELOW
+                        contents.corner_normals.append(index if index >= 0 else _BELOW)
+                    else:
+                        contents.corner_normals.append(_NONE)
                 contents.counts.append(len(values))
                 contents.lines.append(number)
         except PrtError:
@@ -145,6 +201,15 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
                 f"line {number}: '{' '.join(words)[:60]}' cannot be read as {_MEANING[keyword]}"
             ) from None
     return contents
+
+
+def _read_normal(values: list[str]) -> tuple[float, float, float]:
+    """Read a normal; 0 0 0, which no surface has, where it is not three numbers."""
+    try:
+        x, y, z = values[:3]
+        return float(x), float(y), float(z)
+    except ValueError:
+        return 0.0, 0.0, 0.0
 
 
 def _split_lines(data: bytes) -> Iterator[tuple[int, list[str]]]:

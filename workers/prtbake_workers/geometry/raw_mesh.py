@@ -41,7 +41,8 @@ class RawMesh:
     Attributes
     ----------
     positions, faces
-        As in the file; a vertex is split where the file gives it several texture coordinates.
+        As in the file; a vertex is split where the file gives it several texture coordinates or
+        normals.
     uv
         Texture coordinates, NaN where a vertex has none; None where no vertex has any.
     vertex_labels
@@ -52,6 +53,9 @@ class RawMesh:
         Faces in the file with fewer than three corners, left out.
     warnings
         Sentences about what was left out or guessed.
+    normals
+        Vertex normals of any length, NaN where a vertex has none and 0 0 0 where that of the file
+        is not finite; None where no vertex has any.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -61,3 +65,4 @@ class RawMesh:
     n_polygons: int = 0
     n_short_faces: int = 0
     warnings: list[str] = field(default_factory=list)
+    normals: Float64[F64, "verts 3"] | None = None

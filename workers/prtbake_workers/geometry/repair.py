@@ -1,13 +1,16 @@
-"""Repair of a mesh as it came from a file, and the report of what was found."""
+"""Repair of a mesh as it came from a file."""
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from prtbake_storage.errors import MeshError
-from prtbake_workers.arrays import B8, F64, I64, Float64, Int64
+from prtbake_storage.errors import MeshError, SettingsError
+from prtbake_workers.arrays import B8, F64, I64
+from prtbake_workers.geometry.creases import smoothing_groups, split_corners
+from prtbake_workers.geometry.given_normals import complete_normals, settle_normals, unit_normals
+from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors, vertex_normals
+from prtbake_workers.geometry.mesh_report import MeshReport
 from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.topology import consistent_winding, count_components, find_edges
 
@@ -18,59 +21,75 @@ are rounded to the float32 that rays are traced in; dropping it opens a slit no 
 MAX_COORDINATE = 1e15
 """Beyond this the float32 squares of the ray tracer overflow."""
 
+_NO_NORMAL = 2.0
+"""Stands for a missing normal where vertices are compared: no unit vector has it."""
 
-@dataclass
-class MeshReport:
-    """What the file held and what the repair did.
 
-    The counts of vertices and faces are ``n_file_*`` before and ``n_*`` after.  Edges are counted
-    after the repair, on positions: a UV seam is no boundary.
+@dataclass(frozen=True, eq=False)
+class _Vertices:
+    """Vertices on their way through the repair.
+
+    ``normals`` as `unit_normals` gives them; ``copies`` vertices of the file were merged into each.
     """
 
-    format: str = ""
-    n_file_vertices: int = 0
-    n_file_triangles: int = 0
-    n_polygons: int = 0
-    n_vertices: int = 0
-    n_faces: int = 0
-    has_uv: bool = False
-    unreferenced_vertices: int = 0
-    duplicate_vertices: int = 0
-    uv_seam_vertices: int = 0
-    vertices_without_uv: int = 0
-    short_faces: int = 0
-    degenerate_faces: int = 0
-    duplicate_faces: int = 0
-    clashing_edges: int = 0
-    flipped_faces: int = 0
-    pieces_turned_outward: int = 0
-    pieces_left_inside_out: int = 0
-    boundary_edges: int = 0
-    non_manifold_edges: int = 0
-    components: int = 0
-    watertight: bool = False
-    orientable: bool = True
-    extents: list[float] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    positions: F64
+    uv: F64 | None
+    normals: F64 | None
+    copies: I64
 
-    def to_dict(self) -> dict[str, Any]:
-        """Give plain JSON types."""
-        return asdict(self)
+    def take(self, rows: I64) -> "_Vertices":
+        """Give the vertices in ``rows``."""
+        return _Vertices(
+            self.positions[rows],
+            None if self.uv is None else self.uv[rows],
+            None if self.normals is None else self.normals[rows],
+            self.copies[rows],
+        )
+
+    def group(self, *, by_normal: bool = True) -> tuple[I64, I64]:
+        """Give equal vertices one number, see `group_rows`."""
+        columns = [self.positions] if self.uv is None else [self.positions, self.uv]
+        if by_normal and self.normals is not None:
+            columns.append(np.nan_to_num(self.normals, nan=_NO_NORMAL))
+        return group_rows(np.hstack(columns))
 
 
-def repair(raw: RawMesh, format: str, *, orient_outward: bool) -> tuple[Mesh, MeshReport]:
+def repair(
+    raw: RawMesh, format: str, *, orient_outward: bool, crease_angle_deg: float | None = None
+) -> tuple[Mesh, MeshReport]:
     """Make a mesh that can be baked, and say what was done to it.
 
     In this order: refuse positions that are not finite; drop unreferenced vertices; merge
-    vertices of equal position and texture coordinate; drop degenerate faces, then all but the
-    first of faces with the same three positions; make the winding of each piece consistent and
-    that of closed pieces outward; compute normals, shared across UV seams.
+    vertices of equal position, texture coordinate and normal; drop degenerate faces, then all but
+    the first of faces with the same three positions; make the winding of each piece consistent and
+    that of closed pieces outward; see to the normals.
+
+    Parameters
+    ----------
+    raw
+        What the reader found.
+    format
+        For the report.
+    orient_outward
+        Turn closed pieces that are inside out.
+    crease_angle_deg
+        None keeps what the file says: its normals where it gives them and they fit the faces, and
+        elsewhere smooth ones, shared by all corners at a position.  A number in (0, 180] takes no
+        normal of the file: vertices are split along edges whose face normals differ by more, and
+        the normals of each smoothing group computed.
 
     Raises
     ------
     MeshError
         A position is not finite (the message names the first), or no triangle is left.
+    SettingsError
+        The crease angle is out of range.
     """
+    if crease_angle_deg is not None and not 0.0 < crease_angle_deg <= 180.0:
+        raise SettingsError(
+            f"crease_angle_deg must lie in (0, 180], not {crease_angle_deg:g}",
+            pointer="/crease_angle_deg",
+        )
     report = MeshReport(
         format=format,
         n_file_vertices=len(raw.positions),
@@ -80,61 +99,72 @@ def repair(raw: RawMesh, format: str, *, orient_outward: bool) -> tuple[Mesh, Me
         warnings=list(raw.warnings),
     )
     _refuse_unusable(raw)
-    positions, faces, uv = _drop_unreferenced(raw, report)
-    positions, faces, uv = _merge_duplicates(positions, faces, uv, report)
-    faces = _drop_bad_faces(positions, faces, report)
+    vertices, faces = _drop_unreferenced(raw, report, with_normals=crease_angle_deg is None)
+    vertices, faces = _merge_duplicates(vertices, faces, report)
+    faces = _drop_bad_faces(vertices.positions, faces, report)
     if not len(faces):
         raise MeshError(
             f"no usable triangle: all {report.n_file_triangles} of the file have no area"
         )
     # faces that went may leave vertices behind
     keep = np.unique(faces)
-    renumber = np.zeros(len(positions), np.int64)
+    renumber = np.zeros(len(vertices.positions), np.int64)
     renumber[keep] = np.arange(len(keep))
-    positions, faces = positions[keep], renumber[faces]
-    uv = None if uv is None else uv[keep]
+    vertices, faces = vertices.take(keep), renumber[faces]
 
-    place, _ = group_rows(positions)
-    faces = _orient(positions, faces, place, report, outward=orient_outward)
-    extents = positions.max(axis=0) - positions.min(axis=0)
-    report.extents = [float(length) for length in extents]
-    report.n_vertices, report.n_faces = len(positions), len(faces)
-    report.has_uv = uv is not None
-    report.uv_seam_vertices = len(positions) - int(place.max() + 1)
-    _warn(report)
-    mesh = Mesh(
-        positions=positions,
-        faces=faces.astype(np.int32),
-        normals=vertex_normals(positions, faces, place),
-        uv=uv,
+    place, _ = group_rows(vertices.positions)
+    flip = _choose_winding(vertices.positions, faces, place, report, outward=orient_outward)
+    faces = np.where(flip[:, None], faces[:, ::-1], faces)
+    vertices, faces, normals = (
+        _file_normals(vertices, faces, flip, report)
+        if crease_angle_deg is None
+        else _creased_normals(vertices, faces, crease_angle_deg, report)
     )
-    return mesh, report
+    positions = vertices.positions
+    report.extents = [float(x) for x in positions.max(axis=0) - positions.min(axis=0)]
+    report.n_vertices, report.n_faces = len(positions), len(faces)
+    report.has_uv = vertices.uv is not None
+    report.warn()
+    return Mesh(positions, faces.astype(np.int32), normals, vertices.uv), report
 
 
-def group_rows(
-    rows: Float64[F64, "verts axes"],
-) -> tuple[Int64[I64, " verts"], Int64[I64, " rows"]]:
-    """Give equal rows one number, in the order of their first appearance.
+def _file_normals(
+    vertices: _Vertices, faces: I64, flip: B8, report: MeshReport
+) -> tuple[_Vertices, I64, F64]:
+    """Take the normals of the file where they can be used, and compute the others."""
+    if vertices.normals is not None:
+        settled = settle_normals(vertices.positions, faces, flip, vertices.normals)
+        report.vertices_without_normal = int(vertices.copies[settled.missing].sum())
+        report.replaced_normals = int(vertices.copies[settled.refused].sum())
+        report.turned_normals = int(vertices.copies[settled.turned].sum())
+        report.has_normals = bool(settled.normals.any())
+        vertices = replace(vertices, normals=settled.normals)
+        # those turned over, or to be computed, may have become equal
+        vertices, faces = _merge_duplicates(vertices, faces, report)
+    place, first = group_rows(vertices.positions)
+    n_with_uv = len(vertices.group(by_normal=False)[1])
+    report.uv_seam_vertices = n_with_uv - len(first)
+    report.normal_split_vertices = len(place) - n_with_uv
+    if vertices.normals is None:
+        return vertices, faces, vertex_normals(vertices.positions, faces, place)
+    normals = complete_normals(vertices.positions, faces, place, vertices.normals)
+    return vertices, faces, normals
 
-    Returns
-    -------
-    group, first
-        Group of each row, and the first row of each group.
-    """
-    # -0.0 and 0.0 are one position
-    order = np.lexsort((rows + 0.0).T[::-1])
-    ordered = rows[order]
-    new = np.ones(len(rows), np.bool_)
-    new[1:] = np.any(ordered[1:] != ordered[:-1], axis=1)
-    sorted_group = np.cumsum(new) - 1
-    # lexsort is stable, so the first of each run is the first in the file
-    first = order[new]
-    rank = np.empty(len(first), np.int64)
-    by_file = np.argsort(first, kind="stable")
-    rank[by_file] = np.arange(len(first))
-    group = np.empty(len(rows), np.int64)
-    group[order] = rank[sorted_group]
-    return group, first[by_file].astype(np.int64)
+
+def _creased_normals(
+    vertices: _Vertices, faces: I64, crease_angle_deg: float, report: MeshReport
+) -> tuple[_Vertices, I64, F64]:
+    """Split the vertices along creases, and compute the normals of each smoothing group."""
+    place, first = group_rows(vertices.positions)
+    report.uv_seam_vertices = len(place) - len(first)
+    groups, report.crease_edges = smoothing_groups(
+        vertices.positions, faces, place, crease_angle_deg
+    )
+    faces, source, group = split_corners(faces, groups)
+    report.crease_vertices = len(source) - len(place)
+    vertices = vertices.take(source)
+    owner = np.unique(group, return_inverse=True)[1].astype(np.int64)
+    return vertices, faces, vertex_normals(vertices.positions, faces, owner)
 
 
 def _refuse_unusable(raw: RawMesh) -> None:
@@ -155,7 +185,9 @@ def _refuse_unusable(raw: RawMesh) -> None:
             )
 
 
-def _drop_unreferenced(raw: RawMesh, report: MeshReport) -> tuple[F64, I64, F64 | None]:
+def _drop_unreferenced(
+    raw: RawMesh, report: MeshReport, *, with_normals: bool
+) -> tuple[_Vertices, I64]:
     n = len(raw.positions)
     outside = np.flatnonzero((raw.faces < 0).any(axis=1) | (raw.faces >= n).any(axis=1))
     if len(outside):
@@ -174,15 +206,20 @@ def _drop_unreferenced(raw: RawMesh, report: MeshReport) -> tuple[F64, I64, F64 
         report.vertices_without_uv = int(np.count_nonzero(missing))
         if not missing.all():
             uv = np.where(missing[:, None], 0.0, raw.uv[used])
-    return raw.positions[used] + 0.0, renumber[raw.faces], uv
+    normals = None
+    if with_normals and raw.normals is not None:
+        normals = unit_normals(raw.normals[used])
+        if np.isnan(normals).any(axis=1).all():
+            normals = None
+    copies = np.ones(len(used), np.int64)
+    return _Vertices(raw.positions[used] + 0.0, uv, normals, copies), renumber[raw.faces]
 
 
-def _merge_duplicates(
-    positions: F64, faces: I64, uv: F64 | None, report: MeshReport
-) -> tuple[F64, I64, F64 | None]:
-    group, first = group_rows(positions if uv is None else np.hstack([positions, uv]))
-    report.duplicate_vertices = len(positions) - len(first)
-    return positions[first], group[faces], None if uv is None else uv[first]
+def _merge_duplicates(vertices: _Vertices, faces: I64, report: MeshReport) -> tuple[_Vertices, I64]:
+    group, first = vertices.group()
+    report.duplicate_vertices += len(group) - len(first)
+    copies = np.bincount(group, vertices.copies).astype(np.int64)
+    return replace(vertices.take(first), copies=copies), group[faces]
 
 
 def _drop_bad_faces(positions: F64, faces: I64, report: MeshReport) -> I64:
@@ -203,7 +240,10 @@ def _drop_bad_faces(positions: F64, faces: I64, report: MeshReport) -> I64:
     return faces
 
 
-def _orient(positions: F64, faces: I64, place: I64, report: MeshReport, *, outward: bool) -> I64:
+def _choose_winding(
+    positions: F64, faces: I64, place: I64, report: MeshReport, *, outward: bool
+) -> B8:
+    """Look at the topology, and say which faces to turn over."""
     edges = find_edges(place[faces])
     report.boundary_edges = edges.n_boundary
     report.non_manifold_edges = edges.n_non_manifold
@@ -215,30 +255,4 @@ def _orient(positions: F64, faces: I64, place: I64, report: MeshReport, *, outwa
     report.orientable = winding.orientable
     report.pieces_turned_outward = winding.n_turned_outward
     report.pieces_left_inside_out = winding.n_inward_left
-    return np.where(winding.flip[:, None], faces[:, ::-1], faces)
-
-
-def _warn(report: MeshReport) -> None:
-    """Put into words what a user should look at."""
-    if report.pieces_turned_outward:
-        report.warnings.append(
-            f"{report.pieces_turned_outward} closed pieces were inside out and were turned outward"
-        )
-    if report.pieces_left_inside_out:
-        report.warnings.append(
-            f"{report.pieces_left_inside_out} closed pieces are inside out and were left so"
-        )
-    if not report.orientable:
-        report.warnings.append(
-            "a piece has no consistent winding (as a Möbius strip): it was left as it is, and is "
-            "lit from one side of each triangle"
-        )
-    if report.non_manifold_edges:
-        report.warnings.append(
-            f"{report.non_manifold_edges} edges have more than two faces; the winding was not "
-            "carried across them"
-        )
-    if report.has_uv and report.vertices_without_uv:
-        report.warnings.append(
-            f"{report.vertices_without_uv} vertices have no usable texture coordinate: (0, 0)"
-        )
+    return winding.flip

@@ -10,8 +10,8 @@ from math import comb
 import numpy as np
 
 from prtbake_workers.arrays import F64, I64
+from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.mesh import Mesh, vertex_normals
-from prtbake_workers.geometry.repair import group_rows
 
 # profiles of the surfaces of revolution: (radius, height, tangent of the quarter circle), from the
 # top down; the tangent is 0.56 radii (the best circle has 0.5523), 0.45 in one place

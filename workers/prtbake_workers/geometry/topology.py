@@ -60,6 +60,58 @@ def find_edges(faces: Int64[I64, "tris 3"]) -> Edges:
     return Edges(n_faces_at.astype(np.int64), edge_of.astype(np.int64), start < end, pairs)
 
 
+def around_edges(
+    edges: Edges, key: Float64[F64, " halves"] | None = None
+) -> tuple[Int64[I64, " halves"], Int64[I64, " halves"]]:
+    """Pair each half-edge with the next one at its edge, and the last with the first.
+
+    Parameters
+    ----------
+    edges
+        All edges; the half-edge of a boundary pairs with itself.
+    key
+        Orders the half-edges of an edge; None for the order of the faces.
+
+    Returns
+    -------
+    halves, following
+        Each half-edge once, and the one that comes after it.
+    """
+    order = np.argsort(edges.edge_of, kind="stable")
+    if key is not None:
+        order = np.lexsort((key, edges.edge_of))
+    stop = np.cumsum(edges.n_faces_at)
+    following = np.roll(order, -1)
+    following[stop - 1] = order[stop - edges.n_faces_at]
+    return order.astype(np.int64), following.astype(np.int64)
+
+
+def corners_that_meet(
+    edges: Edges, halves: Int64[I64, " pairs"], others: Int64[I64, " pairs"]
+) -> tuple[Int64[I64, " corners"], Int64[I64, " corners"]]:
+    """Pair the corners of two faces that lie at one end of their common edge, at both ends.
+
+    Corner i of face f is 3 f + i, as is the half-edge that starts there.
+    """
+    ends, other_ends = (half - half % 3 + (half + 1) % 3 for half in (halves, others))
+    alike = edges.forward[halves] == edges.forward[others]
+    left = np.concatenate([halves, ends])
+    right = np.concatenate(
+        [np.where(alike, others, other_ends), np.where(alike, other_ends, others)]
+    )
+    return left, right
+
+
+def connected(
+    n: int, left: Int64[I64, " pairs"], right: Int64[I64, " pairs"]
+) -> Int64[I64, " nodes"]:
+    """Name the component of each of ``n`` nodes by the lowest node in it."""
+    graph = coo_array((np.ones(len(left), np.int8), (left, right)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    _, first, component = np.unique(label, return_index=True, return_inverse=True)
+    return first[component].astype(np.int64)
+
+
 def count_components(faces: Int64[I64, "tris 3"]) -> int:
     """Count the pieces that share no vertex position."""
     used, local = np.unique(faces, return_inverse=True)

@@ -260,8 +260,9 @@ def _self_hits(
     normals = scene.normals[start:stop]
     rays *= np.where((rays * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     epsilon = ray_epsilon(scene.bounds)
+    sides = scene.ray_sides[start:stop]
     saved = self_hit_count(
-        occluders, scene.positions[start:stop], normals, rays.astype(np.float32), epsilon
+        occluders, scene.positions[start:stop], sides, rays.astype(np.float32), epsilon
     )
     return {"sampled_rays": stop - start, "sampled_rays_saved_from_self_hits": saved}
 

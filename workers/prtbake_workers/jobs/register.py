@@ -70,18 +70,24 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     registration = MeshRegistration.model_validate(args)
     if registration.builtin is not None:
         mesh = _builtin_mesh(registration.builtin.name, registration.builtin.tessellation)
-        _, found = repair(
-            RawMesh(mesh.positions, mesh.faces.astype(np.int64)), "builtin", orient_outward=False
+        creased, found = repair(
+            RawMesh(mesh.positions, mesh.faces.astype(np.int64)),
+            "builtin",
+            orient_outward=False,
+            crease_angle_deg=registration.crease_angle_deg,
         )
-        report = found.to_dict()
+        # its own normals are exact
+        if registration.crease_angle_deg is not None:
+            mesh = creased
     else:
         assert registration.blob is not None  # the contract holds exactly one source
         mesh, found = load_mesh(
             context.store.read_bytes(registration.blob),
             registration.format,
             orient_outward=registration.orient_outward,
+            crease_angle_deg=registration.crease_angle_deg,
         )
-        report = found.to_dict()
+    report = found.to_dict()
     path = context.scratch / "mesh.h5"
     write_mesh(path, MeshFile(mesh.positions, mesh.faces, mesh.normals, mesh.uv, report))
     return {"understood": report, "canonical": context.store.put_file(path, move=True)}

@@ -193,8 +193,9 @@ class _Tracer:
         own = np.flatnonzero(usable & self.reflects[rows])
         directions = self._directions(rows[own], vertices[own], normals[own])
         n_own, n = directions.shape[:2]
-        points, normals = self.scene.ray_points[vertices[own]], normals[own]
-        origins = offset_origins(points, normals, self.epsilon)
+        points = self.scene.ray_points[vertices[own]]
+        sides = np.where(back[own, None], -1.0, 1.0) * self.scene.ray_sides[vertices[own]]
+        origins = offset_origins(points, sides, self.epsilon)
         flat = directions.reshape(-1, 3)
         hits = self.surface.intersect(np.repeat(origins, n, axis=0), flat)
         reflects = hits.front

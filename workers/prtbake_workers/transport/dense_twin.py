@@ -42,7 +42,8 @@ def sampled_transport(
     if accelerator is not None:
         normal = scene.normals[vertex : vertex + 1]
         point = scene.ray_points[vertex : vertex + 1]
-        origin = offset_origins(point, normal, ray_epsilon(scene.bounds))
+        side = scene.ray_sides[vertex : vertex + 1]
+        origin = offset_origins(point, side, ray_epsilon(scene.bounds))
         escaped, risen = np.zeros(directions.n), np.zeros(directions.n)
         for rays in directions.sub_directions(supersample):
             above = rays.astype(np.float64) @ normal[0] > 0.0

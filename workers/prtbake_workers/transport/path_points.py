@@ -90,7 +90,7 @@ class PathPoints:
         triangles, corner = np.divmod(corner_of[vertices], 3)
         normals = scene.normals[vertices]
         return cls(
-            SurfacePoints(scene.ray_points[vertices], normals, normals),
+            SurfacePoints(scene.ray_points[vertices], normals, scene.ray_sides[vertices]),
             scene.frames[vertices],
             above_horizon(wo, normals),
             triangles,

@@ -28,7 +28,8 @@ class SurfacePoints:
     positions: Float64[F64, "points 3"]
     normals: Float64[F64, "points 3"]
     side: Float64[F64, "points 3"]
-    """Unit geometric normals turned to the shading normal's side; shadow rays start off it."""
+    """Unit vectors along which shadow rays leave the surface: at a pixel the geometric normal,
+    turned to the shading normal's side, at a vertex its `Scene.ray_sides`."""
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -27,7 +27,7 @@ from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
-from prtbake_workers.transport.surface import FaceSides, above_horizon
+from prtbake_workers.transport.surface import OpaqueSurface, above_horizon
 
 COEFFS_PER_PRODUCT = 64
 """Coefficients carried at a time: they do not mix, and a block of all vertices stays small."""
@@ -198,22 +198,18 @@ def _cast(
     directions: Float32[F32, "verts rays 3"],
 ) -> _Rays:
     epsilon = ray_epsilon(scene.bounds)
-    origins = offset_origins(scene.ray_points[vertices], scene.normals[vertices], epsilon)
+    origins = offset_origins(scene.ray_points[vertices], scene.ray_sides[vertices], epsilon)
     flat = np.ascontiguousarray(directions.reshape(-1, 3))
-    found = accelerator.intersect(np.repeat(origins, directions.shape[1], axis=0), flat)
-    hit = np.flatnonzero(found.triangles >= 0)
-    triangles = found.triangles[hit].astype(np.int64)
-    weights = np.maximum(found.barycentrics[hit].astype(np.float64), 0.0)
-    weights /= weights.sum(axis=1, keepdims=True)
-    front = FaceSides(scene).front(triangles, weights, flat[hit])
-    met = hit[front]
+    surface = OpaqueSurface(scene, accelerator, epsilon)
+    hits = surface.intersect(np.repeat(origins, directions.shape[1], axis=0), flat)
+    index = hits.rays[hits.front]
     return _Rays(
-        index=met,
-        triangles=triangles[front],
-        barycentrics=weights[front],
-        backwards=-flat[met].astype(np.float64),
+        index=index,
+        triangles=hits.triangles[hits.front],
+        barycentrics=hits.barycentrics[hits.front],
+        backwards=-flat[index].astype(np.float64),
         n_rays=len(flat),
-        n_hits=len(hit),
+        n_hits=len(hits.rays),
     )
 
 

@@ -100,8 +100,9 @@ def vertex_terms(
 ) -> Float64[F64, "verts terms 3"]:
     """Gather the light of each term at vertices of the scene, with true shadows."""
     scene = validation.scene
-    normals = scene.normals[vertices]
-    points = SurfacePoints(scene.ray_points[vertices], normals, normals)
+    points = SurfacePoints(
+        scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+    )
     result = np.zeros((len(vertices), part.factorisation.n_terms, 3))
     for block in blocks(len(vertices), len(light.directions)):
         received = visible_cosine(

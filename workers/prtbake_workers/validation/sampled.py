@@ -26,8 +26,9 @@ def sampled_terms(
     own, scene = validation.parts[part], validation.scene
     directions = validation.directions
     epsilon = ray_epsilon(scene.bounds)
-    normals = scene.normals[vertices]
-    points = SurfacePoints(scene.ray_points[vertices], normals, normals)
+    points = SurfacePoints(
+        scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+    )
     rays = directions.sub_directions(validation.supersample).astype(np.float64)
     result = np.zeros((len(vertices), own.factorisation.n_terms, columns.shape[1]))
     for block in blocks(len(vertices), directions.n):

@@ -9,6 +9,7 @@ from prtbake.cli.context import client_of
 from prtbake.cli.jobs import Job
 from prtbake.cli.output import Output, OutputOption, console, human_bytes, print_json
 from prtbake.cli.progress import TransferProgress
+from prtbake.cli.requests import CreaseAngle
 from prtbake.cli.sources import existing_file
 from prtbake.errors import PrtbakeError
 from prtbake_storage.contract.resources import Resource
@@ -70,13 +71,19 @@ def register_mesh(
         str, typer.Option("--format", help="auto, obj, ply, stl, off or glb.")
     ] = "auto",
     orient_outward: Annotated[bool, typer.Option(help="Turn faces that look inward.")] = True,
+    crease_angle: CreaseAngle = None,
     label: Annotated[str | None, typer.Option(help="A name for people.")] = None,
     output: OutputOption = Output.text,
 ) -> None:
     """Register a mesh; prints what was understood and repaired."""
     path = existing_file(file, "FILE")
     with client_of(context) as client:
-        options = {"format": format_, "orient_outward": orient_outward, "label": label}
+        options = {
+            "format": format_,
+            "orient_outward": orient_outward,
+            "crease_angle_deg": crease_angle,
+            "label": label,
+        }
         _print(client.add_mesh(path, **options), output)
 
 

@@ -34,6 +34,12 @@ Environment = Annotated[
     str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
 ]
 MeshFormat = Annotated[str, typer.Option(help="auto, obj, ply, stl, off or glb.")]
+CreaseAngle = Annotated[
+    float | None,
+    typer.Option(
+        help="Degrees: edges sharper than this stay sharp, and the file's normals are not taken."
+    ),
+]
 Layout = Annotated[
     str,
     typer.Option(help="auto, lat_long, lat_long_exr, angular_probe or cube_strip."),
@@ -76,6 +82,7 @@ def asset(
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
+    crease_angle: CreaseAngle = None,
     layout: Layout = "auto",
     repair_non_finite: Repair = False,
     label: Label = None,
@@ -84,7 +91,7 @@ def asset(
     timeout: Timeout = None,
 ) -> Request:
     """Bake, compress, fit the light, render, validate, report: the main job."""
-    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format)
+    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "asset",
@@ -106,13 +113,14 @@ def bake(
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
+    crease_angle: CreaseAngle = None,
     label: Label = None,
     priority: Priority = 50,
     seed: Seed = 0,
     timeout: Timeout = None,
 ) -> Request:
     """Simulate transport: gives transfer.h5."""
-    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format)
+    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
     settings = nested(setting or [])
     return {
         "kind": "bake",
@@ -283,10 +291,11 @@ def _scene(
     texture: str | None,
     effects: list[str] | None,
     mesh_format: str,
+    crease_angle: float | None,
 ) -> Request:
     scene: Request = {
         "brdf": brdf_value(brdf),
-        "mesh": mesh_id(client, mesh, format=mesh_format),
+        "mesh": mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle),
         "effects": key_values(effects or []),
     }
     # JSON's true and false are not what a switch is called

@@ -31,9 +31,16 @@ _MODELS = frozenset(
 )
 
 
-def mesh_id(client: Client, source: str, **options: object) -> str:
+def mesh_id(
+    client: Client, source: str, *, format: str = "auto", crease_angle_deg: float | None = None
+) -> str:
     """Return the id of the mesh that an argument means, registering it if it is new."""
     if _RESOURCE.fullmatch(source):
+        if crease_angle_deg is not None:
+            raise typer.BadParameter(
+                f"{source} is registered already: a crease angle belongs to the registration",
+                param_hint="--crease-angle",
+            )
         return source
     if source.startswith(BUILTIN):
         name, _, count = source.removeprefix(BUILTIN).partition(":")
@@ -41,8 +48,10 @@ def mesh_id(client: Client, source: str, **options: object) -> str:
         if count:
             body["tessellation"] = parse_value(count)
         builtin = BuiltinMesh.model_validate(body)
-        return client.register(MeshRegistration(builtin=builtin)).id
-    return client.add_mesh(existing_file(source, "--mesh"), **options).id
+        registration = MeshRegistration(builtin=builtin, crease_angle_deg=crease_angle_deg)
+        return client.register(registration).id
+    path = existing_file(source, "--mesh")
+    return client.add_mesh(path, format=format, crease_angle_deg=crease_angle_deg).id
 
 
 def environment_id(client: Client, source: str, **options: object) -> str:

@@ -1,0 +1,226 @@
+"""A job's walk through its stages, on real tasks; only the engine between them is played."""
+
+import errno
+import os
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from child_tasks import TWO_STAGES
+
+from prtbake_storage.blobs import LocalBlobStore
+from prtbake_storage.contract.jobs import Job, JobState
+from prtbake_storage.queue import patience, stages
+from prtbake_storage.queue.engine import task_id
+from prtbake_storage.queue.memo import recall
+from prtbake_storage.queue.parent import JobRun
+from prtbake_storage.queue.settings import QueueSettings
+from prtbake_storage.queue.stages import Results, Task
+from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
+from prtbake_storage.records import Database, Events, Jobs, NewJob, create_database
+from prtbake_storage.testing.blob_contract import digest_of
+
+
+@pytest.fixture
+def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Services]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    settings = QueueSettings(data_dir=tmp_path, poll_s=0.01, retry_wait_s=0.01)
+    database = create_database(settings.database_url)
+    yield Services(database, LocalBlobStore(tmp_path / "blobs"), settings, threading.Event())
+    database.dispose()
+
+
+class Queue:
+    """Stands for the engine and a worker: a task runs when it is queued, once for each name."""
+
+    def __init__(self, services: Services) -> None:
+        self.services = services
+        self.outputs: dict[str, dict[str, Any]] = {}
+        self.n_runs = 0
+
+    def submit_task(
+        self, job_id: str, stage: int, position: int, task: dict[str, Any], *, key: str,
+        priority: int,
+    ) -> str:  # fmt: skip
+        assert priority == 50
+        name = task_id(job_id, stage, position, key)
+        if name not in self.outputs:
+            self.n_runs += 1
+            run = TaskRun(self.services, job_id, stage, position, Task.from_dict(task))
+            self.outputs[name] = run.run().to_dict()
+        return name
+
+    def statuses(self, names: Sequence[str]) -> dict[str, str]:
+        return {name: "SUCCESS" for name in names if name in self.outputs}
+
+    def output(self, name: str) -> dict[str, Any]:
+        return self.outputs[name]
+
+    def forget(self, name: str) -> None:
+        del self.outputs[name]
+
+    def open_tasks(self, _job_id: str) -> dict[str, str]:
+        return {}
+
+
+@pytest.fixture
+def queue(services: Services) -> Queue:
+    return Queue(services)
+
+
+def submitted(database: Database, *words: str) -> None:
+    Jobs(database).create(NewJob(id="job", kind="words", request={"words": list(words)}))
+
+
+def walk(services: Services, queue: Queue, *, quick: bool = False) -> Job:
+    """Run the job to its end, as a worker would."""
+    JobRun(services, queue, TWO_STAGES, "job", quick=quick).run()  # type: ignore[arg-type]
+    return Jobs(services.database).get("job")
+
+
+def first_task(*words: str) -> Task:
+    (task, *_) = TWO_STAGES.stages("words", {"words": list(words)}, {})[0].tasks(Results())
+    return task
+
+
+def test_a_job_runs_its_stages_and_ends_well(services: Services, queue: Queue) -> None:
+    submitted(services.database, "red", "green")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    assert queue.n_runs == 3
+    (artefact,) = job.artefacts
+    digests = [digest_of(word) for word in (b"red", b"green")]
+    assert services.store.read_bytes(artefact.sha256).decode() == " ".join(digests)
+
+
+def test_a_job_taken_up_after_an_upgrade_does_not_wait_for_the_old_code(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submitted(services.database, "red")
+    task = first_task("red")
+    old = queue.submit_task("job", 0, 0, task.to_dict(), key=task.key, priority=50)
+    assert queue.outputs[old]["status"] == "done"
+    monkeypatch.setattr(stages, "code_version", lambda: "new")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    assert queue.n_runs == 3  # the old code's, and both stages by the new
+
+
+def test_a_parent_takes_what_a_worker_with_other_code_has_made(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submit = queue.submit_task
+
+    def submit_elsewhere(*args: Any, **fields: Any) -> str:
+        with monkeypatch.context() as patch:
+            patch.setattr(stages, "code_version", lambda: "theirs")
+            return submit(*args, **fields)
+
+    monkeypatch.setattr(queue, "submit_task", submit_elsewhere)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    # and nobody takes it later for what this code makes
+    assert recall(services.store, first_task("red").key) is None
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_task_whose_result_is_gone_is_run_again(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, quick: bool
+) -> None:
+    ran = TaskRun.run
+    n_lost = 0
+
+    def lose_the_first(run: TaskRun) -> Outcome:
+        nonlocal n_lost
+        outcome = ran(run)
+        if n_lost == 0:
+            n_lost += services.store.delete(digest_of(b"red"))
+        return outcome
+
+    monkeypatch.setattr(TaskRun, "run", lose_the_first)
+    submitted(services.database, "red")
+    job = walk(services, queue, quick=quick)
+    assert n_lost == 1
+    assert job.state == JobState.succeeded, job.error
+    assert services.store.read_bytes(digest_of(b"red")) == b"red"
+
+
+def test_a_result_that_never_stays_fails_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = queue.output
+
+    def lose(name: str) -> dict[str, Any]:
+        services.store.delete(digest_of(b"red"))
+        return output(name)
+
+    monkeypatch.setattr(queue, "output", lose)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.failed
+    assert job.error is not None
+    assert (job.error.code, queue.n_runs) == ("lost-result", 3)
+    assert job.error.detail == "the result of child_tasks:store_text was made and lost 3 times"
+
+
+@pytest.mark.parametrize("call", ["get_result", "size"])
+def test_a_store_that_fails_in_passing_does_not_fail_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    works, calls = getattr(services.store, call), []
+
+    def fail_twice(name: str) -> Any:
+        calls.append(name)
+        if len(calls) <= 2:
+            raise OSError(errno.ESTALE, "Stale file handle", name)
+        return works(name)
+
+    monkeypatch.setattr(services.store, call, fail_twice)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    events = Events(services.database).after("job")
+    told = [event.data["message"] for event in events if event.type == "log"]
+    assert len(told) == 2
+    assert all("Stale file handle" in line for line in told)
+
+
+def test_a_store_that_stays_away_fails_the_job_by_what_was_tried(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(digest: str) -> int:
+        raise OSError(errno.EIO, "Input/output error", digest)
+
+    monkeypatch.setattr(services.store, "size", fail)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.error is not None
+    assert (job.state, job.error.code) == (JobState.failed, "io-error")
+    assert job.error.detail.startswith("measuring joined.txt, tried 3 times: OSError: [Errno 5]")
+
+
+@pytest.mark.parametrize("call", ["submit_task", "statuses", "output"])
+def test_an_engine_whose_database_is_away_is_waited_for(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    monkeypatch.setattr(patience, "RETRY_S", 0.01)
+    works, calls = getattr(queue, call), []
+
+    def fail_often(*args: Any, **fields: Any) -> Any:
+        calls.append(call)
+        if len(calls) <= 5:
+            raise OperationalError("SELECT 1", {}, Exception("disk I/O error"))
+        return works(*args, **fields)
+
+    monkeypatch.setattr(queue, call, fail_often)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
