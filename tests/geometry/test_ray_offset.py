@@ -8,6 +8,8 @@ from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
 from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.ray_offset import (
+    INSET,
+    inset_boundary,
     offset_origins,
     ray_epsilon,
     ray_sides,
@@ -117,6 +119,70 @@ def test_real_occluders_stay():
     assert accelerator.occluded(moved, up).all()
     through = offset_origins(plane.positions[inner], plane.normals[inner], 2e-4)
     assert not accelerator.occluded(through, up).any()
+
+
+def room(scale, shift, n=4):
+    """A closed cube seen from inside, of six squares that share no vertex."""
+    parts = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            grid = grid_mesh(n, n)
+            # y to the axis, turned so that the normal looks inwards
+            turn = np.roll(np.eye(3), axis - 1, axis=0) * np.array([1.0, -sign, -sign])
+            positions = (grid.positions - [0.0, 0.5, 0.0]) @ turn.T
+            parts.append(Mesh(scale * positions + shift, grid.faces, grid.normals @ turn.T))
+    return Scene.from_parts(parts)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_no_ray_leaves_a_room_of_separate_walls(rng, scale):
+    scene = room(scale, scale * np.array([0.3, -0.7, 2.1]))
+    middle = scene.positions.mean(axis=0)
+    assert (((middle - scene.positions) * scene.normals).sum(axis=1) > 0.0).all()
+    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
+    epsilon = ray_epsilon(scene.bounds)
+    mesh = Mesh(scene.positions, scene.faces, scene.normals)
+    _points, normals, directions = outward_rays(mesh, rng, per_vertex=100)
+
+    def leaked(starts):
+        origins = offset_origins(np.repeat(starts, 100, axis=0), normals, epsilon)
+        return (~accelerator.occluded(origins, directions)).mean()
+
+    assert leaked(scene.ray_points) == 0.0
+    # the negative twin: a vertex in the plane of a wall starts on either side of it, by rounding;
+    # at 1e4 units all coordinates are float32 numbers, and Embree counts a hit at distance 0
+    assert (leaked(scene.positions) > 0.05) == (scale < 1e4)
+
+
+def inset(positions, faces, normals):
+    part = np.zeros(len(positions), np.int64)
+    return inset_boundary(positions, faces, normals, part, 1e-3)
+
+
+def test_only_open_edges_are_moved_and_inwards():
+    grid = grid_mesh(6, 6)
+    moved = inset(grid.positions, grid.faces, grid.normals)
+    way = moved - grid.positions
+    edge = (np.abs(grid.positions[:, [0, 2]]) == 0.5).any(axis=1)
+    assert np.linalg.norm(way[edge], axis=1) == pytest.approx(1e-3, rel=1e-9)
+    assert not way[~edge].any()
+    assert (np.abs(moved[edge][:, [0, 2]]).max(axis=1) < 0.5).all()
+    assert not way[:, 1].any()
+    ball = sphere_mesh(2)
+    closed = inset(ball.positions, ball.faces, ball.normals)
+    assert closed.tobytes() == ball.positions.tobytes()
+
+
+def test_the_rim_of_a_dome_is_not_moved_into_it():
+    """A vertex on a convex rim moves along its tangent plane, not down to the chord."""
+    ball = sphere_mesh(3)
+    centred = ball.positions - [0.0, 1.0, 0.0]
+    dome = ball.faces[(centred[ball.faces][:, :, 1] >= -1e-9).all(axis=1)]
+    moved = inset(centred, dome, ball.normals) - centred
+    height = (moved * ball.normals).sum(axis=1)
+    assert np.linalg.norm(moved, axis=1).max() == pytest.approx(1e-3, rel=1e-9)
+    assert height.min() > -1e-12
+    assert INSET < 1.0
 
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

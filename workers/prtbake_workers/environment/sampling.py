@@ -60,6 +60,12 @@ class EnvironmentSampler:
             across = (rng.permutation(n) + rng.random(n)) / n
         else:
             along, across = rng.random(n), rng.random(n)
+        return self.place(along, across)
+
+    def place(
+        self, along: Float64[F64, " samples"], across: Float64[F64, " samples"]
+    ) -> LightSamples:
+        """Map points of the unit square to directions: share of the power, height in the texel."""
         texels = np.searchsorted(self._cumulative, along, side="right")
         texels = np.minimum(texels, len(self._cumulative) - 1)
         return LightSamples(

@@ -6,7 +6,7 @@ import numpy as np
 
 from prtbake_workers.arrays import B8, F32, F64, I32, I64, Bool, Float32, Float64, Int, Int64
 from prtbake_workers.geometry.grouping import group_rows
-from prtbake_workers.geometry.mesh import corner_angles
+from prtbake_workers.geometry.mesh import corner_angles, face_area_vectors
 from prtbake_workers.geometry.topology import (
     around_edges,
     connected,
@@ -18,6 +18,11 @@ EPSILON_STEPS = 16
 """Offset in steps of float32 at the size of the scene.  A corner, an origin and the point of
 intersection are each off by about one step; 0.8 steps (1e-7) already stop nearly all self-hits on
 the 35k-vertex bunny, and from 2 to 25 steps its occluded share moves by 2e-4 in all."""
+
+INSET = 0.5
+"""How far the rays of a boundary vertex start inside the edge, in offsets: eight steps of float32,
+and too little to dive into a face less than 63 degrees steep."""
+
 
 MIN_SIDE_COSINE = 1.0 / EPSILON_STEPS
 """A side farther than this from a vertex's own normal would lift it by less than one such step."""
@@ -95,6 +100,65 @@ def offset_origins(
 ) -> Float32[F32, "verts 3"]:
     """Move points off the surface, p + epsilon s, and round once to float32."""
     return (points + epsilon * sides).astype(np.float32)
+
+
+def inset_boundary(
+    positions: Float64[F64, "verts 3"],
+    faces: Int[I32 | I64, "tris 3"],
+    normals: Float64[F64, "verts 3"],
+    part: Int64[I64, " verts"],
+    distance: float,
+) -> Float64[F64, "verts 3"]:
+    """Move the vertices on open edges towards the middle of their triangles.
+
+    Where two sheets meet in an edge that they do not share, as the walls of a room do, a vertex of
+    one lies in the plane of the other, and half of its rays would start on the wrong side of it or
+    exactly in it: of a closed room made of six squares a third of the rays would get out.  Moved a
+    hair inwards it sees what the surface beside it sees.
+
+    Parameters
+    ----------
+    positions, faces, normals
+        The surface.
+    part
+        Part of each vertex.  Vertices at one position of a part are one: a seam is no open edge.
+    distance
+        How far, in scene units.
+
+    Returns
+    -------
+    array
+        Positions; vertices that are on no open edge stay where they are.
+    """
+    place, first = group_rows(np.column_stack([part, positions]))
+    edges = find_edges(place[faces])
+    half = np.flatnonzero(edges.n_faces_at[edges.edge_of] == 1)
+    if len(half) == 0:
+        return positions.copy()
+    open_place = np.zeros(len(first), np.bool_)
+    open_place[place[faces].ravel()[half]] = True
+    open_place[place[np.roll(faces, -1, axis=1)].ravel()[half]] = True
+    boundary = open_place[place]
+    own = boundary[faces].any(axis=1)
+    near = faces[own]
+    area = np.linalg.norm(face_area_vectors(positions, near), axis=1)
+    pull = area[:, None] * positions[near].mean(axis=1)
+    inward: F64 = np.stack(
+        [
+            np.bincount(near.ravel(), np.repeat(pull[:, axis], 3), minlength=len(positions))
+            for axis in range(3)
+        ],
+        axis=1,
+    ).astype(np.float64)
+    weight = np.bincount(near.ravel(), np.repeat(area, 3), minlength=len(positions))
+    inward -= weight[:, None] * positions
+    # never down into the surface; up is where a concave one opens
+    inward -= np.minimum((inward * normals).sum(axis=1), 0.0)[:, None] * normals
+    length = np.linalg.norm(inward, axis=1)
+    moves = boundary & (length > 0.0)
+    moved = positions.copy()
+    moved[moves] += distance * inward[moves] / length[moves, None]
+    return moved
 
 
 def self_hit_count(

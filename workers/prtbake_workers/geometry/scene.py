@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from prtbake_workers.arrays import F64, I32, Float64, Int32
+from prtbake_workers.arrays import F64, I32, I64, Float64, Int32, Int64
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh
-from prtbake_workers.geometry.ray_offset import ray_sides
+from prtbake_workers.geometry.ray_offset import INSET, inset_boundary, ray_epsilon, ray_sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +78,14 @@ class Scene:
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
 
     @cached_property
+    def ray_points(self) -> Float64[F64, "verts 3"]:
+        """Where the rays of each vertex start, before the offset along its normal."""
+        distance = INSET * ray_epsilon(self.bounds)
+        return inset_boundary(
+            self.positions, self.faces, self.normals, self._part_of_vertex, distance
+        )
+
+    @cached_property
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
@@ -85,9 +93,12 @@ class Scene:
     @cached_property
     def ray_sides(self) -> Float64[F64, "verts 3"]:
         """Direction in which rays leave each vertex: its normal, or between those of a split."""
+        return ray_sides(self.positions, self.faces, self.normals, self._part_of_vertex)
+
+    @property
+    def _part_of_vertex(self) -> Int64[I64, " verts"]:
         sizes = [stop - start for start, stop in self.part_ranges]
-        part = np.repeat(np.arange(len(sizes)), sizes)
-        return ray_sides(self.positions, self.faces, self.normals, part)
+        return np.repeat(np.arange(len(sizes), dtype=np.int64), sizes)
 
     @property
     def n_vertices(self) -> int:

@@ -91,7 +91,7 @@ def probe_occlusion(
     frames = tangent_frames(scene.normals[chosen])
     world = np.einsum("vij,vri->vrj", frames, local).reshape(-1, 3).astype(np.float32)
     epsilon = ray_epsilon(scene.bounds)
-    origins = offset_origins(scene.positions[chosen], scene.ray_sides[chosen], epsilon)
+    origins = offset_origins(scene.ray_points[chosen], scene.ray_sides[chosen], epsilon)
     blocked = accelerator.occluded(np.repeat(origins, PROBE_RAYS, axis=0), world)
     psi = factorisation.eval_psi(local.reshape(-1, 3))
     weight = (psi**2).sum(axis=1) * cosine.reshape(-1)

@@ -166,7 +166,7 @@ def bake_block(
     epsilon = ray_epsilon(scene.bounds)
     baker = _Baker(
         accelerator=accelerator if shadows else None,
-        origins=offset_origins(scene.positions[start:stop], scene.ray_sides[start:stop], epsilon),
+        origins=offset_origins(scene.ray_points[start:stop], scene.ray_sides[start:stop], epsilon),
         frames=scene.frames[start:stop],
         factorisation=factorisation,
         projection=projection,

@@ -41,7 +41,7 @@ def sampled_transport(
     visible = np.ones(directions.n)
     if accelerator is not None:
         normal = scene.normals[vertex : vertex + 1]
-        point = scene.positions[vertex : vertex + 1]
+        point = scene.ray_points[vertex : vertex + 1]
         side = scene.ray_sides[vertex : vertex + 1]
         origin = offset_origins(point, side, ray_epsilon(scene.bounds))
         escaped, risen = np.zeros(directions.n), np.zeros(directions.n)

@@ -9,11 +9,8 @@ from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, In
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.render.camera import camera_rays, framing_bounds
 from prtbake_workers.transport.reference import SurfacePoints
+from prtbake_workers.transport.surface import above_horizon, interpolate_surface
 from prtbake_workers.validation.scene import ValidationScene
-
-HORIZON = 1e-3
-"""Cosine that a view direction is lifted to where a smooth normal leans away from the eye, as the
-decoder does: a silhouette is then as bright as its neighbourhood."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +61,9 @@ def trace_camera(validation: ValidationScene, camera: Camera, width: int, height
     barycentrics = hits.barycentrics[pixels]
     wo = -np.asarray(directions, np.float64)[pixels]
     corners = scene.faces[triangles]
-    weights = barycentrics.astype(np.float64)[:, :, None]
-    positions = (scene.positions[corners] * weights).sum(axis=1)
-    normals = (scene.normals[corners] * weights).sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    edges = scene.positions[corners[:, 1:]] - scene.positions[corners[:, :1]]
-    side = np.cross(edges[:, 0], edges[:, 1])
-    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
-    side *= np.where((side * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-    keep = np.flatnonzero((wo * side).sum(axis=1) > 0.0)
-    wo = _above_horizon(wo, normals)
+    points = interpolate_surface(scene, triangles, barycentrics.astype(np.float64))
+    keep = np.flatnonzero((wo * points.side).sum(axis=1) > 0.0)
+    wo = above_horizon(wo, points.normals)
     return PixelHits(
         width=width,
         height=height,
@@ -81,16 +71,8 @@ def trace_camera(validation: ValidationScene, camera: Camera, width: int, height
         triangles=triangles[keep],
         barycentrics=barycentrics[keep],
         parts=validation.part_of_triangle(triangles[keep]),
-        points=SurfacePoints(positions[keep], normals[keep], side[keep]),
-        frames=tangent_frames(normals[keep]),
+        points=points.block(keep),
+        frames=tangent_frames(points.normals[keep]),
         wo=wo[keep],
         vertices=np.unique(corners[keep]).astype(np.int64),
     )
-
-
-def _above_horizon(
-    wo: Float64[F64, "hits 3"], normals: Float64[F64, "hits 3"]
-) -> Float64[F64, "hits 3"]:
-    lift = np.maximum(HORIZON - (wo * normals).sum(axis=1, keepdims=True), 0.0)
-    lifted = wo + lift * normals
-    return np.asarray(lifted / np.linalg.norm(lifted, axis=1, keepdims=True))

@@ -101,7 +101,7 @@ def vertex_terms(
     """Gather the light of each term at vertices of the scene, with true shadows."""
     scene = validation.scene
     points = SurfacePoints(
-        scene.positions[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+        scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
     )
     result = np.zeros((len(vertices), part.factorisation.n_terms, 3))
     for block in blocks(len(vertices), len(light.directions)):

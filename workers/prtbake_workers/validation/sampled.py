@@ -27,7 +27,7 @@ def sampled_terms(
     directions = validation.directions
     epsilon = ray_epsilon(scene.bounds)
     points = SurfacePoints(
-        scene.positions[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+        scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
     )
     rays = directions.sub_directions(validation.supersample).astype(np.float64)
     result = np.zeros((len(vertices), own.factorisation.n_terms, columns.shape[1]))

@@ -1,0 +1,182 @@
+"""The matrix-free bounce against the sparse operator, a slow twin and the law of energy."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.bounce_operator import build_bounce_block
+from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
+from prtbake_workers.transport.separable_bounce import SentArray, gather_bounce
+from support.bounce_scenes import ball, patch
+
+N_RAYS, SEED, N_COEFFS = 64, 5, 70
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A ball close above a floor."""
+    floor = patch([-2.0, 0.0, 2.0], [4.0, 0.0, 0.0], [0.0, 0.0, -4.0], 6, 6)
+    return Scene.from_parts([ball(2, centre=(0.0, 1.1, 0.0)), floor], frame_seed=2)
+
+
+@pytest.fixture(scope="module")
+def accelerator(scene):
+    return Accelerator(scene.positions, scene.faces)
+
+
+@pytest.fixture(scope="module")
+def diffuse():
+    return factorise(Lambert(np.array([1.0])))
+
+
+@pytest.fixture(scope="module")
+def glossy():
+    brdf = CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1]))
+    return factorise(brdf, n_terms=7, n_theta=12, n_phi=32)
+
+
+def transfers(rng, scene, factorisations, channels=1):
+    return [
+        rng.standard_normal((stop - start, own.n_terms, channels, N_COEFFS)).astype(np.float32)
+        for (start, stop), own in zip(scene.part_ranges, factorisations, strict=True)
+    ]
+
+
+def gather(scene, accelerator, part, span, factorisations, albedo, sent):
+    return gather_bounce(
+        scene, accelerator, part, span, factorisations=factorisations, albedo=albedo,
+        sent=[SentArray(one) for one in sent], n_rays=N_RAYS, seed=SEED,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_diffuse_parts_bounce_as_the_sparse_operator_does(
+    rng, scene, accelerator, diffuse, channels
+):
+    values = rng.random((scene.n_vertices, channels)) * 0.9
+    albedo = Albedo.of_vertices(scene.faces, values)
+    sent = transfers(rng, scene, [diffuse, diffuse], channels)
+    block = build_bounce_block(
+        scene, accelerator, (0, scene.n_vertices), albedo=albedo, n_rays=N_RAYS, seed=SEED
+    )
+    stacked = np.concatenate(sent)[:, 0]
+    for part, (start, stop) in enumerate(scene.part_ranges):
+        found = gather(scene, accelerator, part, (start, stop), [diffuse] * 2, albedo, sent)
+        for channel in range(channels):
+            expected = block.matrices[channel] @ stacked[:, channel]
+            # float32 sums over at most 64 rays x 3 corners, in another order
+            np.testing.assert_allclose(
+                found.transfer[:, 0, channel], expected[start:stop], atol=2e-5
+            )
+    assert np.abs(block.matrices[0] @ stacked[:, 0]).max() > 0.1
+
+
+def slow_twin(scene, accelerator, part, vertex, factorisations, values, sent):
+    """One vertex, ray by ray, in float64; albedo by vertex, one channel."""
+    local = cosine_directions(shifted(lattice(N_RAYS), shifts(SEED, vertex, vertex + 1, 2)))[0]
+    world = (local @ scene.frames[vertex]).astype(np.float32)
+    origin = offset_origins(
+        scene.ray_points[vertex : vertex + 1], scene.ray_sides[vertex : vertex + 1],
+        ray_epsilon(scene.bounds),
+    )  # fmt: skip
+    hits = accelerator.intersect(np.repeat(origin, N_RAYS, axis=0), world)
+    total = np.zeros((factorisations[part].n_terms, N_COEFFS))
+    for i in np.flatnonzero(hits.triangles >= 0):
+        corners = scene.faces[hits.triangles[i]]
+        a, b, c = scene.positions[corners]
+        if np.cross(b - a, c - a) @ world[i] >= 0.0:
+            continue
+        other = int(scene.part_of_face[hits.triangles[i]])
+        weight = hits.barycentrics[i].astype(np.float64)
+        radiance = np.zeros(N_COEFFS)
+        for corner, share in zip(corners, weight / weight.sum(), strict=True):
+            towards = -world[i].astype(np.float64)
+            cosine = towards @ scene.normals[corner]
+            if cosine < 1e-3:
+                towards += (1e-3 - cosine) * scene.normals[corner]
+                towards /= np.linalg.norm(towards)
+            phi = np.ones(1)
+            if not factorisations[other].is_constant_phi:
+                phi = factorisations[other].eval_phi((scene.frames[corner] @ towards)[None])[
+                    0, :, 0
+                ]
+            own = sent[other][corner - scene.part_ranges[other][0], :, 0].astype(np.float64)
+            radiance += share * (phi @ own)
+        radiance *= (weight / weight.sum()) @ values[corners, 0]
+        total += np.outer(factorisations[part].eval_psi(local[i : i + 1])[0], radiance)
+    return np.pi / N_RAYS * total
+
+
+def test_glossy_parts_bounce_as_the_slow_twin_does(rng, scene, accelerator, diffuse, glossy):
+    factorisations = [glossy, diffuse]
+    values = np.ones((scene.n_vertices, 1))
+    values[scene.part_ranges[1][0] :] = 0.4
+    albedo = Albedo.of_vertices(scene.faces, values)
+    sent = transfers(rng, scene, factorisations)
+    checked = 0
+    for part, (start, stop) in enumerate(scene.part_ranges):
+        found = gather(scene, accelerator, part, (start, stop), factorisations, albedo, sent)
+        for vertex in range(start, stop, 7):
+            expected = slow_twin(scene, accelerator, part, vertex, factorisations, values, sent)
+            np.testing.assert_allclose(
+                found.transfer[vertex - start, :, 0],
+                expected,
+                atol=1e-4 * max(1.0, np.abs(expected).max()),
+            )
+            checked += np.abs(expected).max() > 0.01
+    # lit vertices of both parts were among them
+    assert checked > 10
+
+
+def test_the_result_does_not_depend_on_the_block(rng, scene, accelerator, diffuse, glossy):
+    factorisations = [glossy, diffuse]
+    albedo = Albedo.constant(0.5)
+    sent = transfers(rng, scene, factorisations)
+    whole = gather(scene, accelerator, 0, (0, 40), factorisations, albedo, sent)
+    halves = [
+        gather(scene, accelerator, 0, span, factorisations, albedo, sent)
+        for span in ((0, 13), (13, 40))
+    ]
+    np.testing.assert_array_equal(whole.transfer, np.concatenate([h.transfer for h in halves]))
+    assert whole.n_rays == sum(half.n_rays for half in halves)
+
+
+def test_turning_the_frames_turns_the_terms_and_nothing_else(rng, accelerator, diffuse, glossy):
+    """Sent from a diffuse floor to a glossy ball: the energy of each vertex' terms is invariant."""
+    floor = patch([-2.0, 0.0, 2.0], [4.0, 0.0, 0.0], [0.0, 0.0, -4.0], 6, 6)
+    energies = []
+    for frame_seed in (None, 9):
+        turned = Scene.from_parts([ball(2, centre=(0.0, 1.1, 0.0)), floor], frame_seed=frame_seed)
+        sent = transfers(np.random.default_rng(1), turned, [glossy, diffuse])
+        sent[0][:] = 0.0
+        found = gather_bounce(
+            turned, accelerator, 0, turned.part_ranges[0], factorisations=[glossy, diffuse],
+            albedo=Albedo.constant(0.5), sent=[SentArray(one) for one in sent], n_rays=4096, seed=SEED,
+        )  # fmt: skip
+        energies.append((found.transfer.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
+    lit = energies[0] > 1e-3 * energies[0].max()
+    # other rays in other frames: what 4,096 of them leave to chance
+    np.testing.assert_allclose(energies[1][lit], energies[0][lit], rtol=0.05)
+
+
+def test_black_surfaces_send_nothing_and_no_ray_is_traced(rng, scene, accelerator, diffuse):
+    sent = transfers(rng, scene, [diffuse, diffuse])
+    found = gather(scene, accelerator, 0, (0, 10), [diffuse] * 2, Albedo.constant(0.0), sent)
+    assert found.n_rays == 0
+    assert not found.transfer.any()
+
+
+def test_what_does_not_fit_is_refused(rng, scene, accelerator, diffuse):
+    sent = transfers(rng, scene, [diffuse, diffuse])
+    with pytest.raises(SettingsError, match="outside part 1"):
+        gather(scene, accelerator, 1, (0, 10), [diffuse] * 2, Albedo.constant(0.5), sent)
+    coloured = [sent[0], np.repeat(sent[1], 3, axis=2)]
+    with pytest.raises(SettingsError, match="channels"):
+        gather(scene, accelerator, 0, (0, 10), [diffuse] * 2, Albedo.constant(0.5), coloured)

@@ -1,0 +1,345 @@
+"""The brute-force reference with interreflection: a path tracer over numpy and Embree.
+
+From a surface point paths go on for exactly B bounces.  At every vertex of a path the environment
+is sampled twice, by its own importance and along the direction in which the path goes on, and the
+two are weighted by the balance heuristic [Veach and Guibas 1995]; with f = rho cos, p the density
+of the environment's samples and q that of directions,
+
+    f L / (p + q)   for the one, where it is visible, and for the other, where it escapes.
+
+Light goes where it goes in the bake: surfaces are opaque, the back of a one-sided one is black, and
+rays start at p + epsilon n_g.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
+from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.environment.environment import Environment
+from prtbake_workers.environment.sampling import EnvironmentSampler
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.hemisphere_rays import lattice
+from prtbake_workers.transport.path_points import PathPoints
+from prtbake_workers.transport.proposal import fit_proposal
+from prtbake_workers.transport.reference import blocks
+from prtbake_workers.transport.surface import OpaqueSurface
+
+N_AXES = 6
+"""Uniform numbers at a path vertex: two for the light, one to choose a component, two for the
+direction, one for the roulette."""
+
+LEAST_SURVIVAL = 0.05
+"""Of a path in the roulette, so that no weight grows beyond 20."""
+
+
+@dataclass(frozen=True)
+class PathMaterial:
+    """How one part reflects.
+
+    Attributes
+    ----------
+    brdf
+        In the frame of the vertices.
+    texture
+        What multiplies the BRDF at triangles and barycentrics, (points, 3); None for 1.
+    two_sided
+        Whether the back reflects as the front does.
+    """
+
+    brdf: Brdf
+    texture: Callable[[Int64[I64, " n"], Float64[F64, "n 3"]], Float64[F64, "n 3"]] | None = None
+    two_sided: bool = False
+
+
+@dataclass(frozen=True)
+class PathEstimate:
+    """Radiance towards wo.
+
+    Attributes
+    ----------
+    passes
+        Of each independent pass.
+    by_bounce
+        Mean over the passes of the light that came by each number of bounces.
+    n_rays
+        Rays traced.
+    """
+
+    passes: Float64[F64, "passes points 3"]
+    by_bounce: Float64[F64, "bounces points 3"]
+    n_rays: int
+
+    @property
+    def mean(self) -> Float64[F64, "points 3"]:
+        """The estimate."""
+        return np.asarray(self.passes.mean(axis=0))
+
+    @property
+    def variance(self) -> Float64[F64, "points 3"]:
+        """Of the mean, estimated from the passes; they must be at least two."""
+        if len(self.passes) < 2:
+            raise SettingsError("one pass has no variance: ask for two or more")
+        return np.asarray(self.passes.var(axis=0, ddof=1) / len(self.passes))
+
+
+def trace_paths(
+    scene: Scene,
+    accelerator: Accelerator,
+    materials: Sequence[PathMaterial],
+    points: PathPoints,
+    environment: Environment,
+    rotation: Float64[F64, "3 3"],
+    *,
+    n_bounces: int,
+    n_passes: int,
+    n_samples: int,
+    seed: int,
+    roulette_from: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> PathEstimate:
+    """Estimate the radiance that points reflect, by paths of up to ``n_bounces`` bounces.
+
+    Parameters
+    ----------
+    scene, accelerator
+        All triangles, in one order.  A robust accelerator keeps closed rooms closed.
+    materials
+        One a part.
+    points
+        Where the paths begin; those on a back side must have been turned.
+    environment, rotation
+        The light L'(d) = L(R^T d).
+    n_bounces
+        B: 0 is direct light alone, and has the expectation of the direct reference.
+    n_passes, n_samples
+        Independent passes, and paths a point in each; those of one pass are stratified.
+    seed
+        The same seed gives the same numbers on one platform.
+    roulette_from
+        From this bounce on paths end at random, with their weight kept in expectation.  None, the
+        default, ends none.
+    progress
+        Called with the fraction done.
+
+    Returns
+    -------
+    PathEstimate
+        Memory: ``passes`` and some 100 MB for the paths under way.
+
+    Raises
+    ------
+    SettingsError
+        Counts out of range, or not one material a part.
+    """
+    _check(scene, materials, n_bounces, n_passes, n_samples)
+    tracer = _PathTracer(scene, accelerator, materials, environment, rotation, roulette_from)
+    passes = np.zeros((n_passes, len(points), 3))
+    by_bounce = np.zeros((n_bounces + 1, len(points), 3))
+    for index in range(n_passes):
+        numbers = [_Numbers(seed, index, depth, len(points), n_samples)
+                   for depth in range(n_bounces + 1)]  # fmt: skip
+        for block in blocks(len(points), n_samples):
+            found = tracer.trace(points, block, numbers, n_samples)
+            passes[index, block] = found.sum(axis=0)
+            by_bounce[:, block] += found / n_passes
+        if progress is not None:
+            progress((index + 1) / n_passes)
+    return PathEstimate(passes, by_bounce, tracer.n_rays)
+
+
+class _Numbers:
+    """The uniform numbers of one pass at one depth: a pattern over samples, shifted by point."""
+
+    def __init__(self, seed: int, index: int, depth: int, n_points: int, n_samples: int) -> None:
+        rng = np.random.default_rng([seed, index, depth])
+        square, line = lattice(n_samples), (np.arange(n_samples) + 0.5) / n_samples
+        self.pattern = np.concatenate(
+            [
+                square[rng.permutation(n_samples)],
+                line[rng.permutation(n_samples), None],
+                square[rng.permutation(n_samples)],
+                line[rng.permutation(n_samples), None],
+            ],
+            axis=1,
+        )
+        self.shift = rng.random((n_points, N_AXES))
+
+    def of(self, point: I64, sample: I64) -> Float64[F64, "paths axes"]:
+        """Give the numbers of paths."""
+        moved = self.pattern[sample] + self.shift[point]
+        moved -= np.floor(moved)
+        return np.minimum(moved, np.nextafter(1.0, 0.0), out=moved)
+
+
+class _PathTracer:
+    def __init__(
+        self,
+        scene: Scene,
+        accelerator: Accelerator,
+        materials: Sequence[PathMaterial],
+        environment: Environment,
+        rotation: Float64[F64, "3 3"],
+        roulette_from: int | None,
+    ) -> None:
+        self.scene = scene
+        self.accelerator = accelerator
+        self.materials = materials
+        self.proposals = [fit_proposal(material.brdf) for material in materials]
+        self.environment = environment
+        self.sampler = EnvironmentSampler(environment)
+        self.rotation = rotation
+        self.roulette_from = roulette_from
+        self.epsilon = ray_epsilon(scene.bounds)
+        self.surface = OpaqueSurface(scene, accelerator, self.epsilon)
+        self.two_sided = np.array([material.two_sided for material in materials])
+        self.n_rays = 0
+
+    def trace(
+        self, points: PathPoints, block: slice, numbers: list[_Numbers], n_samples: int
+    ) -> Float64[F64, "bounces points 3"]:
+        """Follow the paths of a block of points, all of them one bounce at a time."""
+        n_points = block.stop - block.start
+        point = np.repeat(np.arange(block.start, block.stop), n_samples)
+        sample = np.tile(np.arange(n_samples), n_points)
+        at, throughput = points.pick(point), np.full((len(point), 3), 1.0 / n_samples)
+        result = np.zeros((len(numbers), n_points, 3))
+        for depth, own in enumerate(numbers):
+            u = own.of(point, sample)
+            wo = np.einsum("pij,pj->pi", at.frames, at.wo)
+            texture = self._texture(at)
+            light = throughput * self._sampled_light(at, wo, texture, u)
+            wi, weight, density = self._go_on(at, wo, texture, u)
+            weight *= throughput
+            last = depth == len(numbers) - 1
+            escaped, hit, (triangles, barycentrics) = self._follow(at, wi, weight, last)
+            light[escaped] += weight[escaped] * self._escaped_light(wi[escaped], density[escaped])
+            for channel in range(3):
+                result[depth, :, channel] = np.bincount(
+                    point - block.start, light[:, channel], n_points
+                )
+            if last or len(hit) == 0:
+                break
+            throughput = weight[hit]
+            at, faces_ray = PathPoints.seen(
+                self.scene, triangles, barycentrics, -wi[hit],
+                self.two_sided[self.scene.part_of_face[triangles]],
+            )  # fmt: skip
+            alive = faces_ray & self._survives(throughput, u[hit, 5], depth, n_samples)
+            at, throughput = at.pick(alive), throughput[alive]
+            point, sample = point[hit[alive]], sample[hit[alive]]
+        return result
+
+    def _sampled_light(
+        self, at: PathPoints, wo: F64, texture: F64, u: F64
+    ) -> Float64[F64, "paths 3"]:
+        """Sample the environment by its own importance: f L / (p + q) where it is visible."""
+        samples = self.sampler.place(u[:, 0], u[:, 1])
+        directions = samples.directions @ self.rotation.T
+        wi = np.einsum("pij,pj->pi", at.frames, directions)
+        value, density = self._reflect(at, wi, wo)
+        light = value * texture * samples.radiance / (samples.pdf + density)[:, None]
+        open_ = np.flatnonzero(light.any(axis=1))
+        blocked = self.accelerator.occluded(
+            self._origins(at, open_), directions[open_].astype(np.float32)
+        )
+        self.n_rays += len(open_)
+        light[open_[blocked]] = 0.0
+        return light
+
+    def _go_on(
+        self, at: PathPoints, wo: F64, texture: F64, u: F64
+    ) -> tuple[Float64[F64, "paths 3"], Float64[F64, "paths 3"], Float64[F64, " paths"]]:
+        """Draw world directions, with f / q and q; a weight of 0 where nothing is reflected."""
+        local = np.zeros_like(wo)
+        part = self.scene.part_of_face[at.triangles]
+        for index, proposal in enumerate(self.proposals):
+            own = np.flatnonzero(part == index)
+            local[own] = proposal.sample(wo[own], u[own, 2], u[own, 3:5])
+        value, density = self._reflect(at, local, wo)
+        weight = value * texture / np.where(density > 0.0, density, 1.0)[:, None]
+        return np.einsum("pij,pi->pj", at.frames, local), weight, density
+
+    def _follow(
+        self, at: PathPoints, wi: F64, weight: F64, last: bool
+    ) -> tuple[I64, I64, tuple[I64, F64]]:
+        """Trace the paths that carry anything: which escape, which hit, and where they do."""
+        carrying = np.flatnonzero(weight.any(axis=1))
+        origins, directions = self._origins(at, carrying), wi[carrying].astype(np.float32)
+        self.n_rays += len(carrying)
+        if last:
+            blocked = self.accelerator.occluded(origins, directions)
+            nowhere = np.zeros(0, np.int64)
+            return carrying[~blocked], nowhere, (nowhere, np.zeros((0, 3)))
+        hits = self.surface.intersect(origins, directions)
+        escaped = np.ones(len(carrying), np.bool_)
+        escaped[hits.rays] = False
+        return carrying[escaped], carrying[hits.rays], (hits.triangles, hits.barycentrics)
+
+    def _escaped_light(self, wi: F64, density: F64) -> Float64[F64, "paths 3"]:
+        """L q / (p + q), the factor of f / q on a path that leaves the scene."""
+        own = wi @ self.rotation
+        share = density / (self.sampler.pdf(own) + density)
+        return self.environment.lookup(own) * share[:, None]
+
+    def _reflect(
+        self, at: PathPoints, wi: F64, wo: F64
+    ) -> tuple[Float64[F64, "paths 3"], Float64[F64, " paths"]]:
+        """Evaluate rho cos and q for local directions, part by part."""
+        value, density = np.zeros_like(wi), np.zeros(len(wi))
+        part = self.scene.part_of_face[at.triangles]
+        for index, (material, proposal) in enumerate(
+            zip(self.materials, self.proposals, strict=True)
+        ):
+            own = np.flatnonzero((part == index) & (wi[:, 2] > 0.0))
+            if len(own):
+                value[own] = material.brdf.eval_brdf(wi[own], wo[own]) * wi[own, 2:]
+                density[own] = proposal.pdf(wi[own], wo[own])
+        return value, density
+
+    def _texture(self, at: PathPoints) -> Float64[F64, "paths 3"]:
+        scale = np.ones((len(at), 3))
+        part = self.scene.part_of_face[at.triangles]
+        for index, material in enumerate(self.materials):
+            if material.texture is not None:
+                own = np.flatnonzero(part == index)
+                scale[own] = material.texture(at.triangles[own], at.barycentrics[own])
+        return scale
+
+    def _survives(
+        self, throughput: Float64[F64, "paths 3"], u: F64, depth: int, n_samples: int
+    ) -> Bool[B8, " paths"]:
+        """Play the roulette; the weight of the survivors grows in place."""
+        if self.roulette_from is None or depth + 1 < self.roulette_from:
+            return np.ones(len(u), np.bool_)
+        chance = np.clip(n_samples * throughput.max(axis=1), LEAST_SURVIVAL, 1.0)
+        throughput /= chance[:, None]
+        return np.asarray(u < chance)
+
+    def _origins(self, at: PathPoints, which: I64) -> Float32[F32, "rays 3"]:
+        surface = at.surface
+        return offset_origins(surface.positions[which], surface.side[which], self.epsilon)
+
+
+def _check(
+    scene: Scene,
+    materials: Sequence[PathMaterial],
+    n_bounces: int,
+    n_passes: int,
+    n_samples: int,
+) -> None:
+    if len(materials) != len(scene.part_ranges):
+        raise SettingsError(
+            f"the scene has {len(scene.part_ranges)} parts, but {len(materials)} materials"
+        )
+    if n_bounces < 0:
+        raise SettingsError(f"n_bounces must not be negative, got {n_bounces}")
+    if min(n_passes, n_samples) < 1:
+        raise SettingsError(
+            f"passes and samples must be at least 1, got {n_passes} and {n_samples}"
+        )
