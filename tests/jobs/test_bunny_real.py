@@ -10,7 +10,7 @@ pytestmark = pytest.mark.real_data
 
 SETTINGS = {
     "bake": {"cube_resolution": 32, "n_centres": 642, "n_terms": 16},
-    "compress": {"n_clusters": 97, "ranks": [8, 48, 24], "max_iterations": 8},
+    "compress": {"n_clusters": 97, "ranks": [8, 48, 24], "max_iterations": 3},
 }
 
 
