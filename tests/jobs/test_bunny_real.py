@@ -18,7 +18,10 @@ SETTINGS = {
 def results(tmp_path_factory, data_dir):
     store = open_store((tmp_path_factory.mktemp("bunny") / "blobs").as_uri())
     mesh = {"blob": store.put_file(data_dir / "meshes" / "stanford-bunny.obj")}
-    request = asset_request(brdf=GLOSSY, quality="medium", receiver=None, settings=SETTINGS)
+    # the plane's horizon is what is hard to project: alone the bunny has a third of the error
+    request = asset_request(
+        brdf=GLOSSY, quality="medium", receiver={"resolution": 24}, settings=SETTINGS
+    )
     light = {"builtin": {"name": "constant", "width": 16}}
     return run_until(store, request, context_of(store, request, mesh, light), "compress")
 
@@ -35,6 +38,6 @@ def test_the_bunny_keeps_within_the_papers_errors(results):
     assert 0.010 < stages["bake"]["errors"]["object"] <= 0.015
     assert 0.004 < stages["compress"]["errors"]["object"] <= 0.007
     # the objective never rises by more than 1e-7 of the signal
-    (part,) = results["compress"]
+    part = results["compress"][0]
     rises = [b - a for a, b in zip(part["objective"], part["objective"][1:], strict=False)]
     assert max(rises) <= 1e-7 * part["initial_energy"]
