@@ -1,13 +1,17 @@
 """The engine under every kind of death, with real processes, on both databases."""
 
+import base64
 import hashlib
 import os
+import pickle
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fleet import Fleet, is_alive
 
 from prtbake_storage.contract.jobs import JobState
+from prtbake_storage.queue.engine import engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.records import Events, NewJob
 from prtbake_storage.testing.postgres import fresh_database
@@ -61,6 +66,16 @@ def lone(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Fleet]:
     fleet = Fleet(tmp_path, f"sqlite:///{tmp_path / 'prtbake.sqlite'}")
     yield fleet
     fleet.close()
+
+
+class Trap:
+    """Makes a folder when a pickle of it is read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self._folder),)
 
 
 def test_a_job_runs_in_tiles_on_both_workers(fleet: Fleet) -> None:
@@ -278,6 +293,23 @@ def test_workers_without_a_supervisor_find_each_other_out_by_silence(lone: Fleet
     assert started[victim.name] == 2
     lone.until(lambda: len(lone.workers.all()) == 1, "the lost worker to be forgotten")
     lone.until(lambda: not lone.leftovers(), "scratch to be swept")
+
+
+def test_a_pickle_in_place_of_a_jobs_arguments_is_not_read(lone: Fleet) -> None:
+    trap = lone.settings.data_dir / "trap"
+    text = base64.b64encode(pickle.dumps(Trap(trap))).decode()
+    job_id = lone.submit(n=1, seconds=0.1, seed=18)
+    connection = sqlite3.connect(engine_url(lone.settings.database_url).removeprefix("sqlite:///"))
+    with connection:
+        connection.execute("UPDATE workflow_status SET serialization = 'py_pickle'")
+        assert connection.execute("UPDATE workflow_input SET inputs = ?", (text,)).rowcount == 1
+    connection.close()
+    lone.spawn()
+    job = lone.ended(job_id)
+    assert not trap.exists()
+    assert job.state == "failed"
+    assert job.error is not None
+    assert job.error.code == "engine"
 
 
 def test_nothing_lives_on_after_the_supervisor_was_killed(lone: Fleet) -> None:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
+from dbos._serialization import DefaultSerializer
 
 from prtbake_storage.records.database import normalise_url
 
@@ -47,6 +48,18 @@ class _Json(Serializer):
     def name(self) -> str:
         """Tell our rows from pickled ones."""
         return "prtbake_json"
+
+
+def _refuse_pickle(_serializer: object, _data: str) -> Any:
+    """Stand in for dbos's reading of pickles.
+
+    A row says itself how it was written, and dbos believes it whatever serializer it was given: who
+    may write to the database could run code in the workers and in the service.
+    """
+    raise ValueError("a pickle in the engine's tables: we write none, and read none")
+
+
+DefaultSerializer.deserialize = _refuse_pickle  # type: ignore[assignment,method-assign]
 
 
 class Claim(NamedTuple):
