@@ -98,7 +98,10 @@ def task_id(job_id: str, stage: int, position: int) -> str:
 
 
 class JobQueue:
-    """The queue from outside: submit jobs, look at workflows."""
+    """The queue from outside: submit jobs, look at workflows.
+
+    Every call raises SQLAlchemy's error at once where the database is away; `patiently` waits.
+    """
 
     def __init__(self, database_url: str) -> None:
         _hush()
@@ -106,6 +109,8 @@ class JobQueue:
             system_database_url=prepare(database_url),
             application_name=APPLICATION,
             serializer=_Json(),
+            # the caller decides how long to wait: dbos would for up to a minute, deaf to a SIGTERM
+            retry_connection_errors=False,
         )
 
     def submit(self, job_id: str, *, quick: bool = False, priority: int = 50) -> None:

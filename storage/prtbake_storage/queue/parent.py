@@ -124,11 +124,17 @@ class JobRun:
             while work.waiting and len(work.queued) < WINDOW:
                 position = work.waiting.popleft()
                 task = work.tasks[position].to_dict()
-                self._queue.submit_task(
-                    self._job_id, work.index, position, task, priority=run.priority
+                self._patiently(
+                    self._queue.submit_task,
+                    self._job_id,
+                    work.index,
+                    position,
+                    task,
+                    priority=run.priority,
                 )
                 work.queued[task_id(self._job_id, work.index, position)] = position
-            for workflow_id, status in self._queue.statuses(list(work.queued)).items():
+            statuses = self._patiently(self._queue.statuses, list(work.queued))
+            for workflow_id, status in statuses.items():
                 if status in ENDED:
                     outcome = self._outcome(workflow_id, status)
                     self._take(work, work.queued.pop(workflow_id), outcome)
@@ -137,7 +143,7 @@ class JobRun:
                 raise TaskStopped(SHUTDOWN)
 
     def _outcome(self, workflow_id: str, status: str) -> Outcome:
-        output = self._queue.output(workflow_id)
+        output = self._patiently(self._queue.output, workflow_id)
         if status == "SUCCESS" and isinstance(output, dict):
             return Outcome.from_dict(output)
         if status == "MAX_RECOVERY_ATTEMPTS_EXCEEDED":
@@ -200,11 +206,10 @@ class JobRun:
     def _end(self, stop: Stop) -> None:
         """Take the tasks off the queue, wait for those that run to stop, and close the row."""
         deadline = time.monotonic() + STOP_PATIENCE_S
-        while not self._quick and (tasks := self._queue.open_tasks(self._job_id)):
+        while not self._quick and (tasks := self._patiently(self._queue.open_tasks, self._job_id)):
             late = time.monotonic() > deadline
-            self._queue.cancel(
-                [name for name, status in tasks.items() if late or status == "ENQUEUED"]
-            )
+            unwanted = [name for name, status in tasks.items() if late or status == "ENQUEUED"]
+            self._patiently(self._queue.cancel, unwanted)
             if self._services.shutdown.wait(self._services.settings.poll_s):
                 raise TaskStopped(SHUTDOWN)
         closed = self._patiently(self._services.runs.close, self._job_id, stop)
