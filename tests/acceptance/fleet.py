@@ -50,8 +50,9 @@ class Fleet:
             worker_losses=2,
             reconcile_s=1.0,
         )
+        paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
         self.environment = {
-            "PYTHONPATH": str(Path(__file__).parent),
+            "PYTHONPATH": os.pathsep.join(filter(None, paths)),
             "PRTBAKE_TOY_NOTES": str(self.notes),
         }
         self.database = create_database(self.settings.database_url)
