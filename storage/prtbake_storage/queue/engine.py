@@ -63,12 +63,11 @@ DefaultSerializer.deserialize = _refuse_pickle  # type: ignore[assignment,method
 
 
 class Claim(NamedTuple):
-    """A workflow that a worker holds; ``claimed_s`` is when, in seconds since 1970."""
+    """A workflow that a worker holds."""
 
     workflow_id: str
     queue: str
     executor_id: str
-    claimed_s: float
 
 
 def engine_url(database_url: str) -> str:
@@ -161,21 +160,16 @@ class JobQueue:
         for workflow_id in workflow_ids:
             self._client.cancel_workflow(workflow_id)
 
-    def claims(self, executor_ids: Collection[str]) -> list[Claim]:
-        """Workflows that these workers hold."""
+    def claims(self, executor_ids: Collection[str] | None = None) -> list[Claim]:
+        """Workflows that these workers hold, or all that are held."""
         workflows = self._client.list_workflows(
             status="PENDING",
-            executor_id=list(executor_ids),
+            executor_id=None if executor_ids is None else list(executor_ids),
             load_input=False,
             load_output=False,
         )
         return [
-            Claim(
-                workflow.workflow_id,
-                workflow.queue_name or JOBS,
-                workflow.executor_id or "",
-                (workflow.dequeued_at or 0) / 1000.0,
-            )
+            Claim(workflow.workflow_id, workflow.queue_name or JOBS, workflow.executor_id or "")
             for workflow in workflows
         ]
 
