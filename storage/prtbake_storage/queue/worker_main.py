@@ -57,8 +57,10 @@ def _supervise(count: int, settings: QueueSettings, registry: str) -> None:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    with Supervisor(count, settings, registry=registry):
-        stop.wait()
+    with Supervisor(count, settings, registry=registry) as supervisor:
+        while not stop.wait(1.0):
+            if supervisor.failed:
+                sys.exit(1)  # whoever started us shall know, and start us again
 
 
 def _die_with(parent: int) -> None:
