@@ -9,6 +9,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,6 +143,7 @@ class Fleet:
         databases = [self.settings.data_dir / name for name in ("prtbake.sqlite", "engine.sqlite")]
         while True:
             os.kill(worker, signal.SIGSTOP)
+            self.until(lambda: _stopped(worker), "all of its threads to stop")
             if all(_writable(path) for path in databases):
                 return
             os.kill(worker, signal.SIGCONT)
@@ -173,6 +175,14 @@ class Fleet:
             process.wait()
         self.queue.close()
         self.database.dispose()
+
+
+def _stopped(pid: int) -> bool:
+    states = []
+    for status in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended
+            states.append(status.read_text().rpartition(")")[2].split()[0])
+    return set(states) == {"T"}
 
 
 def _writable(path: Path) -> bool:
