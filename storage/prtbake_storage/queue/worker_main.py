@@ -14,6 +14,7 @@ import threading
 from typing import cast
 
 from prtbake_storage.queue.logs import configure_logging
+from prtbake_storage.queue.privacy import forbid_reading
 from prtbake_storage.queue.settings import REGISTRY, QueueSettings, new_executor_id
 from prtbake_storage.queue.stages import JobRunner
 
@@ -30,6 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
         "--parent", type=int, default=None, help="process whose death ends this worker"
     )
     options = parser.parse_args(arguments)
+    forbid_reading()
     settings = QueueSettings()
     if options.workers is not None:
         _supervise(options.workers, settings, options.registry)
