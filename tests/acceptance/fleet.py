@@ -16,7 +16,7 @@ from typing import NamedTuple
 import psutil
 
 from prtbake_storage.contract.jobs import Job
-from prtbake_storage.queue.engine import JobQueue
+from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.settings import QueueSettings, new_executor_id
 from prtbake_storage.queue.supervisor import Supervisor
 from prtbake_storage.records import Jobs, NewJob, Workers, create_database
@@ -140,7 +140,8 @@ class Fleet:
 
     def freeze(self, worker: int) -> None:
         """Stop a process where it holds no lock: nobody can take SQLite's from a sleeper."""
-        databases = [self.settings.data_dir / name for name in ("prtbake.sqlite", "engine.sqlite")]
+        database = self.settings.data_dir / "prtbake.sqlite"
+        databases = [database, Path(engine_url(f"sqlite:///{database}").removeprefix("sqlite:///"))]
         while True:
             os.kill(worker, signal.SIGSTOP)
             self.until(lambda: _stopped(worker), "all of its threads to stop")

@@ -8,6 +8,7 @@ to its worker; and cancellation lives in our own ``jobs`` row, which running cod
 
 import json
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -16,7 +17,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
 from dbos._serialization import DefaultSerializer
 
@@ -74,8 +74,8 @@ def engine_url(database_url: str) -> str:
     """Say where the engine keeps its tables: beside SQLite's file, or in the same PostgreSQL."""
     url = normalise_url(database_url)
     if url.get_backend_name() == "sqlite":
-        path = sa.make_url(url).database or ""
-        return f"sqlite:///{path.rpartition('/')[0] or '.'}/engine.sqlite"
+        # as SQLite names what belongs to a database; by any other path it is the same one
+        return f"sqlite:///{os.path.realpath(url.database or '')}-engine"
     return url.set(drivername="postgresql").render_as_string(hide_password=False)
 
 

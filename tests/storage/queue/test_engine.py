@@ -33,11 +33,25 @@ def queue(database_url: str) -> Iterator[JobQueue]:
     queue.close()
 
 
-def test_the_engine_lies_beside_or_inside_the_database() -> None:
-    assert engine_url("sqlite:////a/b/prtbake.sqlite") == "sqlite:////a/b/engine.sqlite"
-    assert engine_url("sqlite:///prtbake.sqlite") == "sqlite:///./engine.sqlite"
+def test_the_engine_lies_beside_or_inside_the_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert engine_url("sqlite:////a/b/prtbake.sqlite") == "sqlite:////a/b/prtbake.sqlite-engine"
     url = "postgresql+psycopg://me:s%40cret@host:5432/db"
     assert engine_url(url) == "postgresql://me:s%40cret@host:5432/db"
+    # one database has one engine, whatever it is called
+    (tmp_path / "link.sqlite").symlink_to(tmp_path / "prtbake.sqlite")
+    monkeypatch.chdir(tmp_path)
+    names = ("prtbake.sqlite", "./prtbake.sqlite", "link.sqlite", str(tmp_path / "prtbake.sqlite"))
+    assert len({engine_url(f"sqlite:///{name}") for name in names}) == 1
+
+
+def test_two_databases_in_one_folder_share_no_work(tmp_path: Path) -> None:
+    queues = [JobQueue(f"sqlite:///{tmp_path / name}") for name in ("a.sqlite", "a.db", "b.sqlite")]
+    queues[0].submit("job")
+    assert [queue.statuses(["job"]) for queue in queues] == [{"job": "ENQUEUED"}, {}, {}]
+    for queue in queues:
+        queue.close()
 
 
 def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQueue) -> None:
