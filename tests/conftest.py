@@ -3,7 +3,7 @@
 ``PRTBAKE_DATA`` names the folder with the ``meshes``, ``environments`` and ``brdfs`` of the
 real-data suite.  Where it is unset, the tests marked ``real_data`` are deselected (never skipped).
 Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
-server gives them one.
+server gives them one, and those marked ``own_postgres`` where none is installed.
 """
 
 import os
@@ -13,7 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prtbake_storage.testing.postgres import available, fresh_database, postgres_server
+from prtbake_storage.testing.postgres import (
+    available,
+    find_postgres,
+    fresh_database,
+    postgres_server,
+)
 
 DATA_VARIABLE = "PRTBAKE_DATA"
 
@@ -25,6 +30,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         lacking.append("real_data")
     if not available():
         lacking.append("postgres")
+    if find_postgres() is None:
+        lacking.append("own_postgres")
     out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
     if out:
         config.hook.pytest_deselected(items=out)

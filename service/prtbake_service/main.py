@@ -12,6 +12,7 @@ from prtbake_service.backend import Backend
 from prtbake_service.middleware import REQUEST_ID
 from prtbake_service.settings import ServiceSettings
 from prtbake_storage.queue.logs import configure_logging
+from prtbake_storage.queue.privacy import forbid_reading
 
 GRACE_S = 3
 """Open event streams would hold a shutdown up for ever; clients take them up again."""
@@ -41,6 +42,7 @@ def add_request_id(record: logging.LogRecord) -> bool:
 
 def main() -> None:
     """Serve until SIGINT or SIGTERM."""
+    forbid_reading()  # tasks may run beside us, as the same user
     settings = ServiceSettings()
     configure_logging(service="rest")
     for handler in logging.getLogger().handlers:

@@ -9,13 +9,14 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import psutil
 
 from prtbake_storage.contract.jobs import Job
-from prtbake_storage.queue.engine import JobQueue
+from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.settings import QueueSettings, new_executor_id
 from prtbake_storage.queue.supervisor import Supervisor
 from prtbake_storage.records import Jobs, NewJob, Workers, create_database
@@ -50,8 +51,9 @@ class Fleet:
             worker_losses=2,
             reconcile_s=1.0,
         )
+        paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
         self.environment = {
-            "PYTHONPATH": str(Path(__file__).parent),
+            "PYTHONPATH": os.pathsep.join(filter(None, paths)),
             "PRTBAKE_TOY_NOTES": str(self.notes),
         }
         self.database = create_database(self.settings.database_url)
@@ -138,9 +140,11 @@ class Fleet:
 
     def freeze(self, worker: int) -> None:
         """Stop a process where it holds no lock: nobody can take SQLite's from a sleeper."""
-        databases = [self.settings.data_dir / name for name in ("prtbake.sqlite", "engine.sqlite")]
+        database = self.settings.data_dir / "prtbake.sqlite"
+        databases = [database, Path(engine_url(f"sqlite:///{database}").removeprefix("sqlite:///"))]
         while True:
             os.kill(worker, signal.SIGSTOP)
+            self.until(lambda: _stopped(worker), "all of its threads to stop")
             if all(_writable(path) for path in databases):
                 return
             os.kill(worker, signal.SIGCONT)
@@ -172,6 +176,14 @@ class Fleet:
             process.wait()
         self.queue.close()
         self.database.dispose()
+
+
+def _stopped(pid: int) -> bool:
+    states = []
+    for status in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended
+            states.append(status.read_text().rpartition(")")[2].split()[0])
+    return set(states) == {"T"}
 
 
 def _writable(path: Path) -> bool:

@@ -1,13 +1,17 @@
 """The engine under every kind of death, with real processes, on both databases."""
 
+import base64
 import hashlib
 import os
+import pickle
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fleet import Fleet, is_alive
 
 from prtbake_storage.contract.jobs import JobState
+from prtbake_storage.queue.engine import engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.records import Events, NewJob
 from prtbake_storage.testing.postgres import fresh_database
@@ -61,6 +66,23 @@ def lone(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Fleet]:
     fleet = Fleet(tmp_path, f"sqlite:///{tmp_path / 'prtbake.sqlite'}")
     yield fleet
     fleet.close()
+
+
+def change_workflows(fleet: Fleet, statement: str, *values: str) -> None:
+    """Change the one workflow of a SQLite fleet behind the engine's back."""
+    path = engine_url(fleet.settings.database_url).removeprefix("sqlite:///")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        assert connection.execute(statement, values).rowcount == 1
+
+
+class Trap:
+    """Makes a folder when a pickle of it is read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self._folder),)
 
 
 def test_a_job_runs_in_tiles_on_both_workers(fleet: Fleet) -> None:
@@ -280,6 +302,30 @@ def test_workers_without_a_supervisor_find_each_other_out_by_silence(lone: Fleet
     lone.until(lambda: not lone.leftovers(), "scratch to be swept")
 
 
+def test_a_claim_of_a_worker_that_nobody_knows_is_handed_on(lone: Fleet) -> None:
+    # what is left when a worker claims something, leaves and is forgotten
+    job_id = lone.submit(n=1, seconds=0.1, seed=19)
+    change_workflows(lone, "UPDATE workflow_status SET status = 'PENDING', executor_id = 'nobody'")
+    lone.spawn()
+    lone.await_workers(1)
+    lone.until(lambda: lone.jobs.get(job_id).state.terminal, "the job's end", 20.0)
+    assert lone.jobs.get(job_id).state == "succeeded"
+
+
+def test_a_pickle_in_place_of_a_jobs_arguments_is_not_read(lone: Fleet) -> None:
+    trap = lone.settings.data_dir / "trap"
+    text = base64.b64encode(pickle.dumps(Trap(trap))).decode()
+    job_id = lone.submit(n=1, seconds=0.1, seed=18)
+    change_workflows(lone, "UPDATE workflow_status SET serialization = 'py_pickle'")
+    change_workflows(lone, "UPDATE workflow_input SET inputs = ?", text)
+    lone.spawn()
+    job = lone.ended(job_id)
+    assert not trap.exists()
+    assert job.state == "failed"
+    assert job.error is not None
+    assert job.error.code == "engine"
+
+
 def test_nothing_lives_on_after_the_supervisor_was_killed(lone: Fleet) -> None:
     command = [sys.executable, "-m", "prtbake_storage.queue.worker_main", "--workers", "1"]
     supervisor = subprocess.Popen(
@@ -291,7 +337,9 @@ def test_nothing_lives_on_after_the_supervisor_was_killed(lone: Fleet) -> None:
     supervisor.kill()
     supervisor.wait()
     lone.until(lambda: not is_alive(tile.worker) and not is_alive(tile.pid), "their end", 15.0)
-    assert lone.workers.all() == []  # it left in good order
+    # it left in good order, and its peers would look for what it may have claimed since
+    assert [worker.state for worker in lone.workers.all()] == ["gone"]
+    assert lone.queue.claims() == []
     assert lone.jobs.get(job_id).state == "running"
     lone.jobs.request_cancel(job_id)
     # nobody is left to act on it: whoever reconciles sees that, here the next service or worker

@@ -1,7 +1,7 @@
 """Job kinds for the acceptance tests of the engine, and the tasks they are made of.
 
-Every task notes in the folder ``PRTBAKE_TOY_NOTES`` that it started and that it finished, which is
-how the tests see what was run, how often, and by which process.
+Every task notes in the folder that the worker's ``PRTBAKE_TOY_NOTES`` names that it started and that
+it finished, which is how the tests see what was run, how often, and by which process.
 """
 
 import hashlib
@@ -18,9 +18,9 @@ from prtbake_storage.queue.stages import ArtefactFile, Finished, Results, Stage,
 HERE = "toy_registry"
 
 
-def note(kind: str, name: str) -> None:
+def note(args: dict[str, Any], kind: str, name: str) -> None:
     """Leave a file that says what happened, when and in which process."""
-    path = Path(os.environ["PRTBAKE_TOY_NOTES"]) / f"{kind}.{name}.{os.getpid()}.{time.time_ns()}"
+    path = Path(args["notes"]) / f"{kind}.{name}.{os.getpid()}.{time.time_ns()}"
     path.write_text(str(os.getppid()))
 
 
@@ -39,7 +39,7 @@ def spin(args: dict[str, Any], context: TaskContext) -> None:
 def tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Make a blob of 64 KiB that depends on the seed and the index only."""
     name = f"{args['seed']}-{args['index']}"
-    note("started", name)
+    note(args, "started", name)
     (context.scratch / "half-done").write_bytes(b"x" * 1000)
     context.log("tile begins", index=args["index"])
     spin(args, context)
@@ -47,13 +47,13 @@ def tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     path = context.scratch / "tile.bin"
     path.write_bytes(block)
     digest = context.store.put_file(path, move=True)
-    note("finished", name)
+    note(args, "finished", name)
     return {"digest": digest, "index": args["index"]}
 
 
 def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Concatenate the tiles."""
-    note("started", "join")
+    note(args, "started", "join")
     with context.store.writer() as writer:
         for digest in args["digests"]:
             writer.write(context.store.read_bytes(digest))
@@ -62,7 +62,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 def poison(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
     """Go wrong in the way that ``how`` says."""
-    note("started", args["how"])
+    note(args, "started", args["how"])
     if args["how"] == "dies":
         os.kill(os.getpid(), signal.SIGKILL)
     if args["how"] == "kills-worker":
@@ -71,7 +71,7 @@ def poison(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
     if args["how"] == "input":
         raise SettingsError("the toy is broken", pointer="/how")
     if args["how"] == "once":
-        flag = Path(os.environ["PRTBAKE_TOY_NOTES"]) / f"once.{args['seed']}"
+        flag = Path(args["notes"]) / f"once.{args['seed']}"
         if not flag.exists():
             flag.write_text("")
             raise PassingError("not yet")
@@ -92,10 +92,10 @@ class ToyRegistry:
     def stages(self, kind: str, request: dict[str, Any], _context: dict[str, Any]) -> list[Stage]:
         """List the stages."""
         if kind == "quick":
-            task = Task(f"{HERE}:poison", {"how": "fine", "seed": request["seed"]})
+            task = _task("poison", {"how": "fine", "seed": request["seed"]})
             return [Stage("parse", "files", 1.0, lambda _results: [task])]
         if kind == "poison":
-            bad = Task(f"{HERE}:poison", {"how": request["how"], "seed": request["seed"]})
+            bad = _task("poison", {"how": request["how"], "seed": request["seed"]})
             good = _tiles(request)
             return [Stage("mixed", "tasks", 1.0, lambda _results: [bad, *good])]
         return [
@@ -117,10 +117,15 @@ class ToyRegistry:
         )
 
 
+def _task(name: str, args: dict[str, Any], label: str = "") -> Task:
+    # tasks are given no variables of ours
+    return Task(f"{HERE}:{name}", args | {"notes": os.environ["PRTBAKE_TOY_NOTES"]}, label)
+
+
 def _tiles(request: dict[str, Any]) -> list[Task]:
     return [
-        Task(
-            f"{HERE}:tile",
+        _task(
+            "tile",
             {
                 "index": index,
                 "seconds": request["seconds"],
@@ -134,7 +139,7 @@ def _tiles(request: dict[str, Any]) -> list[Task]:
 
 
 def _join(results: Results) -> list[Task]:
-    return [Task(f"{HERE}:join", {"digests": [tile["digest"] for tile in results["tiles"]]})]
+    return [_task("join", {"digests": [tile["digest"] for tile in results["tiles"]]})]
 
 
 REGISTRY = ToyRegistry()

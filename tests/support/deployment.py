@@ -20,7 +20,7 @@ from prtbake import Client
 from prtbake.launch import LocalService
 from prtbake_storage.blobs import open_store
 from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
-from prtbake_storage.records import Jobs, create_database
+from prtbake_storage.records import Jobs, Workers, create_database
 
 PATIENCE_S = 240.0
 """Deadline of what must happen at all: a job takes 15 s on a quiet machine."""
@@ -81,11 +81,13 @@ class Installation:
 
     def workers(self) -> dict[str, psutil.Process]:
         """The worker processes by executor id."""
+        # nobody may read a worker's environment, so its own records tell whose it is
+        ours = {worker.executor_id for worker in Workers(self.database).all()}
         found = {}
         for process in psutil.Process().children(recursive=True):
             line = command_line(process)
-            if "--executor-id" in line and self._owns(process):
-                found[line[line.index("--executor-id") + 1]] = process
+            if "--executor-id" in line and (name := line[line.index("--executor-id") + 1]) in ours:
+                found[name] = process
         return found
 
     def tasks(self, worker: psutil.Process | None = None) -> list[psutil.Process]:
@@ -101,12 +103,6 @@ class Installation:
     def leftovers(self) -> list[Path]:
         """Files in scratch."""
         return [path for path in (self.folder / "blobs" / "scratch").rglob("*") if path.is_file()]
-
-    def _owns(self, process: psutil.Process) -> bool:
-        try:
-            return process.environ().get("PRTBAKE_DATA_DIR") == str(self.folder)
-        except psutil.Error:
-            return False
 
 
 def command_line(process: psutil.Process) -> list[str]:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,8 +25,18 @@ _log = logging.getLogger(__name__)
 STDERR_LINES = 20
 """Last lines of a dead task's stderr that go into its error."""
 
-_SECRETS = frozenset({"PRTBAKE_DATABASE_URL", "PRTBAKE_API_KEY"})
-"""A task reads files from outside; neither the database nor the API is its business."""
+_KEPT = frozenset({
+    "PATH", "HOME", "USER", "LOGNAME", "TZ", "LANG", "LANGUAGE", "VIRTUAL_ENV",
+    "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH",
+})  # fmt: skip
+_KEPT_FAMILIES = (
+    "LC_", "XDG_", "PYTHON", "OMP_", "OPENBLAS_", "MKL_", "KMP_", "NUMBA_",
+    "EGL_", "__EGL_", "__GLX_", "LIBGL_", "MESA_", "GALLIUM_", "LP_", "CUDA_", "NVIDIA_",
+)  # fmt: skip
+"""What a task is given of our environment: what Python and its libraries are set up with.
+
+A task reads files from outside: no password of ours, nor of what else runs here, is its business.
+"""
 
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -45,7 +56,7 @@ def run_task_in_child(
     should_stop: Callable[[], str | None],
     check_s: float = 0.5,
 ) -> Memory:
-    """Run a task to its end, in a process that cannot outlive this call.
+    """Run a task to its end, in a group of processes that cannot outlive this call.
 
     Parameters
     ----------
@@ -108,27 +119,33 @@ def run_task_in_child(
                 _await_end(process)
                 break
             if "result" in message or "error" in message:
-                answer = message
-            elif message:
+                answer = message  # its last word
+                break
+            if message:
                 on_message(message)
             if time.monotonic() >= next_check:
                 next_check = time.monotonic() + check_s
+                if process.poll() is not None:
+                    _kill_group(process)  # what it left behind may hold its stdout open
                 if (reason := should_stop()) is not None:
                     raise TaskStopped(reason)
     finally:
         # whatever was raised above, nothing of the task may live on
-        _kill(process)
-        for reader in readers:
-            reader.join(timeout=1.0)
+        _kill_group(process)
+        process.wait()
         process.stdin.close()
-        process.stdout.close()
-        process.stderr.close()
+        for reader in readers:  # who left the group may hold a pipe: its reader waits, we do not
+            reader.join(timeout=1.0)
     return _outcome(answer, process.returncode, tail, task)
 
 
 def child_environment(threads: int, scratch: Path) -> dict[str, str]:
     """Environment of a task: threads, temporary folder, a fixed hash seed, and no secrets."""
-    environment = {name: value for name, value in os.environ.items() if name not in _SECRETS}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name in _KEPT or name.startswith(_KEPT_FAMILIES)
+    }
     environment |= {name: str(threads) for name in _THREAD_VARIABLES}
     environment |= {"TMPDIR": str(scratch), "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"}
     return environment
@@ -160,22 +177,21 @@ def _send_order(stdin: IO[str], order: dict[str, Any]) -> None:
 
 def _read_messages(stdout: IO[str], messages: "queue.SimpleQueue[dict[str, Any] | None]") -> None:
     try:
-        for line in stdout:
-            messages.put(json.loads(line))
-    except ValueError:  # a line cut short by the child's death, or the pipe closed under us
+        with stdout:
+            for line in stdout:
+                messages.put(json.loads(line))
+    except ValueError:  # a line cut short by the child's death
         pass
     finally:
         messages.put(None)
 
 
 def _read_stderr(stderr: IO[str], tail: deque[str], task: Task) -> None:
-    try:
+    with stderr:
         for line in stderr:
             text = line.rstrip()
             tail.append(text)
             _log.info("task.stderr", extra={"line": text, "task": task.title})
-    except ValueError:  # the pipe closed under us
-        return
 
 
 def _await_end(process: subprocess.Popen[str]) -> None:
@@ -186,10 +202,8 @@ def _await_end(process: subprocess.Popen[str]) -> None:
         return
 
 
-def _kill(process: subprocess.Popen[str]) -> None:
-    if process.poll() is None:
-        try:
-            os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            process.kill()
-    process.wait()
+def _kill_group(process: subprocess.Popen[str]) -> None:
+    """Kill a task and what it started, also after its own end."""
+    # as long as anybody is in the group, the system gives its number to nobody else
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)

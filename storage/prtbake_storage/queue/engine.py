@@ -8,6 +8,7 @@ to its worker; and cancellation lives in our own ``jobs`` row, which running cod
 
 import json
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -16,8 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
+from dbos._serialization import DefaultSerializer
 
 from prtbake_storage.records.database import normalise_url
 
@@ -49,21 +50,32 @@ class _Json(Serializer):
         return "prtbake_json"
 
 
+def _refuse_pickle(_serializer: object, _data: str) -> Any:
+    """Stand in for dbos's reading of pickles.
+
+    A row says itself how it was written, and dbos believes it whatever serializer it was given: who
+    may write to the database could run code in the workers and in the service.
+    """
+    raise ValueError("a pickle in the engine's tables: we write none, and read none")
+
+
+DefaultSerializer.deserialize = _refuse_pickle  # type: ignore[assignment,method-assign]
+
+
 class Claim(NamedTuple):
-    """A workflow that a worker holds; ``claimed_s`` is when, in seconds since 1970."""
+    """A workflow that a worker holds."""
 
     workflow_id: str
     queue: str
     executor_id: str
-    claimed_s: float
 
 
 def engine_url(database_url: str) -> str:
     """Say where the engine keeps its tables: beside SQLite's file, or in the same PostgreSQL."""
     url = normalise_url(database_url)
     if url.get_backend_name() == "sqlite":
-        path = sa.make_url(url).database or ""
-        return f"sqlite:///{path.rpartition('/')[0] or '.'}/engine.sqlite"
+        # as SQLite names what belongs to a database; by any other path it is the same one
+        return f"sqlite:///{os.path.realpath(url.database or '')}-engine"
     return url.set(drivername="postgresql").render_as_string(hide_password=False)
 
 
@@ -89,7 +101,10 @@ def task_id(job_id: str, stage: int, position: int, key: str) -> str:
 
 
 class JobQueue:
-    """The queue from outside: submit jobs, look at workflows."""
+    """The queue from outside: submit jobs, look at workflows.
+
+    Every call raises SQLAlchemy's error at once where the database is away; `patiently` waits.
+    """
 
     def __init__(self, database_url: str) -> None:
         _hush()
@@ -97,6 +112,8 @@ class JobQueue:
             system_database_url=prepare(database_url),
             application_name=APPLICATION,
             serializer=_Json(),
+            # the caller decides how long to wait: dbos would for up to a minute, deaf to a SIGTERM
+            retry_connection_errors=False,
         )
 
     def submit(self, job_id: str, *, quick: bool = False, priority: int = 50) -> None:
@@ -155,21 +172,16 @@ class JobQueue:
         for workflow_id in workflow_ids:
             self._client.cancel_workflow(workflow_id)
 
-    def claims(self, executor_ids: Collection[str]) -> list[Claim]:
-        """Workflows that these workers hold."""
+    def claims(self, executor_ids: Collection[str] | None = None) -> list[Claim]:
+        """Workflows that these workers hold, or all that are held."""
         workflows = self._client.list_workflows(
             status="PENDING",
-            executor_id=list(executor_ids),
+            executor_id=None if executor_ids is None else list(executor_ids),
             load_input=False,
             load_output=False,
         )
         return [
-            Claim(
-                workflow.workflow_id,
-                workflow.queue_name or JOBS,
-                workflow.executor_id or "",
-                (workflow.dequeued_at or 0) / 1000.0,
-            )
+            Claim(workflow.workflow_id, workflow.queue_name or JOBS, workflow.executor_id or "")
             for workflow in workflows
         ]
 

@@ -25,7 +25,7 @@ class QueueSettings(BaseSettings):
         Home of the defaults of both URLs.
     database_url
         ``sqlite:////path`` or ``postgresql://user@host/database``; the engine's own tables lie
-        beside it (``engine.sqlite``) or in it (schema ``dbos``).
+        beside it (a file of its name and ``-engine``) or in it (schema ``dbos``).
     blob_url
         ``file:///directory``.
     heartbeat_s, dead_after_s

@@ -88,6 +88,11 @@ class Supervisor:
                 if place.process is not None
             }
 
+    @property
+    def failed(self) -> bool:
+        """Whether supervision ended unasked: nobody looks after the workers any more."""
+        return not self._thread.is_alive() and not self._stop.is_set()
+
     def __enter__(self) -> "Supervisor":
         return self.start()
 
@@ -101,11 +106,15 @@ class Supervisor:
 
     def _run(self) -> None:
         # workers are told when the thread that started them ends, so this one starts them all
-        while not self._stop.is_set():
-            for place in self._places:
-                self._look_after(place)
-            self._stop.wait(LOOK_S)
-        self._end_all()
+        try:
+            while not self._stop.is_set():
+                for place in self._places:
+                    self._look_after(place)
+                self._stop.wait(LOOK_S)
+        except Exception:  # noqa: BLE001 - logged whole, and `failed` tells whoever waits
+            _log.exception("supervisor.crashed")
+        finally:
+            self._end_all()
 
     def _look_after(self, place: _Place) -> None:
         now = time.monotonic()
@@ -115,17 +124,28 @@ class Supervisor:
                 return
             _log.warning("worker.died", extra={"worker": place.executor_id, "status": status})
             self._mark_gone(place.executor_id)
-            quick = now - place.started < QUICK_DEATH_S
-            place.failures = place.failures + 1 if quick else 0
-            wait = min(LONGEST_WAIT_S, 2.0 ** (place.failures - 1)) if place.failures else 0.0
-            place.not_before = now + wait
+            self._put_off(place, quick=now - place.started < QUICK_DEATH_S)
             with self._lock:
                 place.process = None
         if now >= place.not_before:
             executor_id = new_executor_id()
-            process = self._spawn(executor_id)
+            try:
+                process = self._spawn(executor_id)
+            except OSError as error:  # no process, memory or handle is left: that may pass
+                _log.warning("worker.start_failed", extra={"error": str(error)[:200]})
+                self._put_off(place, quick=True)
+                return
             with self._lock:
                 place.executor_id, place.process, place.started = executor_id, process, now
+
+    @staticmethod
+    def _put_off(place: _Place, *, quick: bool) -> None:
+        """Say when the next worker may start: after a ``quick`` end later each time."""
+        place.failures = place.failures + 1 if quick else 0
+        place.not_before = time.monotonic()
+        if place.failures:
+            # the exponent is bounded too: a float overflows at 1024 failures
+            place.not_before += min(LONGEST_WAIT_S, 2.0 ** min(place.failures - 1, 10))
 
     def _spawn(self, executor_id: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.queue.engine import Engine, JobQueue
@@ -11,12 +12,9 @@ from prtbake_storage.records.workers import Workers
 
 _log = logging.getLogger(__name__)
 
-ORPHAN_AFTER_S = 15.0
-"""How long a claim may stand without a thread: a start takes milliseconds."""
-
 
 class Watchdog:
-    """One round looks at every heartbeat and at this worker's own claims."""
+    """One round looks at every heartbeat, at claims of nobody, and at this worker's own claims."""
 
     def __init__(
         self,
@@ -32,6 +30,7 @@ class Watchdog:
         self._engine, self._queue, self._workers = engine, queue, workers
         self._heart, self._store = heart, store
         self._executor_id, self._settings = executor_id, settings
+        self._strangers: dict[str, float] = {}
 
     def run(self, stop: threading.Event) -> None:
         """Look around once a heartbeat until told to stop."""
@@ -43,9 +42,14 @@ class Watchdog:
                 _log.warning("watchdog.failed", extra={"error": str(error)[:200]})
 
     def recover_dead(self) -> list[str]:
-        """Queue again the work of workers that said goodbye or fell silent; returns their ids."""
+        """Queue again the work of workers that left, fell silent or are unknown; returns their ids.
+
+        Unknown is who claimed something in the moment of leaving, after its peers had looked.
+        """
         judge = self._heart.may_judge
-        dead = [
+        strange = self._strange()
+        dead = strange if judge else []
+        dead += [
             worker.executor_id
             for worker in self._workers.all()
             if worker.executor_id != self._executor_id
@@ -67,6 +71,17 @@ class Watchdog:
     def reap_orphans(self) -> None:
         """Queue again what this worker claimed and never started."""
         claims = self._queue.claims([self._executor_id])
-        for claim in self._engine.orphans(claims, after_s=ORPHAN_AFTER_S):
+        # a start takes milliseconds
+        for claim in self._engine.orphans(claims, after_s=self._settings.dead_after_s / 2):
             _log.warning("claim.orphaned", extra={"workflow": claim.workflow_id})
             self._queue.hand_back(claim)
+
+    def _strange(self) -> list[str]:
+        """Workers that hold claims and have not been listed for as long as the silent are given."""
+        holding = {claim.executor_id for claim in self._queue.claims()}
+        # looked at after the claims: whoever claims has beaten before
+        known = {worker.executor_id for worker in self._workers.all()}
+        now = time.monotonic()
+        self._strangers = {name: self._strangers.get(name, now) for name in holding - known}
+        after_s = self._settings.dead_after_s
+        return [name for name, since in self._strangers.items() if now - since > after_s]

@@ -104,10 +104,9 @@ class WorkerProcess:
         try:
             for claim in self._queue.claims([self._executor_id]):
                 self._queue.hand_back(claim)
-            if self._queue.claims([self._executor_id]):
-                self._workers.mark_gone(self._executor_id)
-            else:
-                self._workers.forget([self._executor_id])
+            # a look at the queue may wait for a lock and claim after this: so a peer looks again,
+            # and forgets us
+            self._workers.mark_gone(self._executor_id)
             self._store.sweep_scratch(owner=self._executor_id)
         except Exception as error:  # noqa: BLE001 - peers will find out by our silence
             _log.warning("worker.leave_failed", extra={"error": str(error)[:200]})

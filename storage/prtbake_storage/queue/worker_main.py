@@ -14,6 +14,7 @@ import threading
 from typing import cast
 
 from prtbake_storage.queue.logs import configure_logging
+from prtbake_storage.queue.privacy import forbid_reading
 from prtbake_storage.queue.settings import REGISTRY, QueueSettings, new_executor_id
 from prtbake_storage.queue.stages import JobRunner
 
@@ -30,6 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
         "--parent", type=int, default=None, help="process whose death ends this worker"
     )
     options = parser.parse_args(arguments)
+    forbid_reading()
     settings = QueueSettings()
     if options.workers is not None:
         _supervise(options.workers, settings, options.registry)
@@ -57,8 +59,10 @@ def _supervise(count: int, settings: QueueSettings, registry: str) -> None:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    with Supervisor(count, settings, registry=registry):
-        stop.wait()
+    with Supervisor(count, settings, registry=registry) as supervisor:
+        while not stop.wait(1.0):
+            if supervisor.failed:
+                sys.exit(1)  # whoever started us shall know, and start us again
 
 
 def _die_with(parent: int) -> None:

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -23,6 +24,7 @@ def surroundings(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "threads": os.environ["OPENBLAS_NUM_THREADS"],
         "hash_seed": os.environ["PYTHONHASHSEED"],
         "temporary": tempfile.gettempdir(),
+        "environment": sorted(os.environ),
         "heavy": sorted({"dbos", "sqlalchemy", "pydantic_settings"} & set(sys.modules)),
     }
 
@@ -109,3 +111,19 @@ class TwoStages:
 
 
 TWO_STAGES = TwoStages()
+
+
+def leave(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """End, with a process left behind that holds our pipes."""
+    if args["how"] == "fork" or args["how"] == "fork-and-die":
+        pid = os.fork()
+        if pid == 0:
+            time.sleep(25.0)
+            os._exit(0)
+    else:
+        own_session = args["how"] == "session"
+        pid = subprocess.Popen(["sleep", "25"], start_new_session=own_session).pid
+    context.log("left", pid=pid)
+    if args["how"] == "fork-and-die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"fine": True}

@@ -136,6 +136,65 @@ def test_stopping_kills_the_task_and_what_it_started(
     assert list((tmp_path / "store" / "scratch").iterdir()) == []
 
 
+@pytest.mark.parametrize("how", ["fork", "subprocess", "session"])
+def test_what_a_task_leaves_behind_does_not_hold_its_worker(
+    run: Run, messages: list[dict[str, Any]], how: str
+) -> None:
+    begin = time.monotonic()
+    assert run("leave", {"how": how}).result == {"fine": True}
+    assert time.monotonic() - begin < 10.0
+    left = messages[0]["log"]["pid"]
+    if how == "session":  # out of our reach, and out of our way
+        os.kill(left, signal.SIGKILL)
+    await_death(left)
+
+
+def test_a_death_is_seen_through_what_holds_its_pipes(
+    run: Run, messages: list[dict[str, Any]]
+) -> None:
+    begin = time.monotonic()
+    with pytest.raises(TaskFailed, match="SIGKILL"):
+        run("leave", {"how": "fork-and-die"})
+    assert time.monotonic() - begin < 10.0
+    await_death(messages[0]["log"]["pid"])
+
+
+def test_a_task_is_told_no_secrets(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    secrets = ("PRTBAKE_DATABASE_URL", "PRTBAKE_API_KEY", "PGPASSWORD", "AWS_SECRET_ACCESS_KEY")
+    for name in secrets:
+        monkeypatch.setenv(name, "secret")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/tmp")
+    found = set(run("surroundings", {}).result["environment"])
+    assert found.isdisjoint(secrets)
+    assert {"PATH", "NUMBA_CACHE_DIR", "OMP_NUM_THREADS"} <= found
+
+
+READING_ITS_PARENT = """
+import ctypes, os, sys
+from prtbake_storage.queue.privacy import forbid_reading
+
+if os.geteuid() == 0:  # root reads everything
+    os.setgid(65534)
+    os.setuid(65534)
+ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as every process is after its exec
+if sys.argv[1] == "closed":
+    forbid_reading()
+if os.fork() == 0:
+    try:
+        open(f"/proc/{os.getppid()}/environ", "rb").read()
+    except PermissionError:
+        os._exit(3)
+    os._exit(0)
+sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+
+
+@pytest.mark.parametrize(("how", "status"), [("open", 0), ("closed", 3)])
+def test_a_child_cannot_read_the_secrets_of_its_parent(how: str, status: int) -> None:
+    done = subprocess.run([sys.executable, "-c", READING_ITS_PARENT, how], check=False)
+    assert done.returncode == status
+
+
 def test_an_error_in_the_callback_kills_the_task(run: Run, messages: list[dict[str, Any]]) -> None:
     def break_down() -> None:
         if messages:

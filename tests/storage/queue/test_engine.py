@@ -1,16 +1,22 @@
 """The queue from outside, on a real engine without workers."""
 
+import base64
+import os
+import pickle
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
 import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
+from prtbake_storage.records.database import normalise_url
 
 
 @pytest.fixture
@@ -20,11 +26,25 @@ def queue(database_url: str) -> Iterator[JobQueue]:
     queue.close()
 
 
-def test_the_engine_lies_beside_or_inside_the_database() -> None:
-    assert engine_url("sqlite:////a/b/prtbake.sqlite") == "sqlite:////a/b/engine.sqlite"
-    assert engine_url("sqlite:///prtbake.sqlite") == "sqlite:///./engine.sqlite"
+def test_the_engine_lies_beside_or_inside_the_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert engine_url("sqlite:////a/b/prtbake.sqlite") == "sqlite:////a/b/prtbake.sqlite-engine"
     url = "postgresql+psycopg://me:s%40cret@host:5432/db"
     assert engine_url(url) == "postgresql://me:s%40cret@host:5432/db"
+    # one database has one engine, whatever it is called
+    (tmp_path / "link.sqlite").symlink_to(tmp_path / "prtbake.sqlite")
+    monkeypatch.chdir(tmp_path)
+    names = ("prtbake.sqlite", "./prtbake.sqlite", "link.sqlite", str(tmp_path / "prtbake.sqlite"))
+    assert len({engine_url(f"sqlite:///{name}") for name in names}) == 1
+
+
+def test_two_databases_in_one_folder_share_no_work(tmp_path: Path) -> None:
+    queues = [JobQueue(f"sqlite:///{tmp_path / name}") for name in ("a.sqlite", "a.db", "b.sqlite")]
+    queues[0].submit("job")
+    assert [queue.statuses(["job"]) for queue in queues] == [{"job": "ENQUEUED"}, {}, {}]
+    for queue in queues:
+        queue.close()
 
 
 def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQueue) -> None:
@@ -87,6 +107,37 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.prune("2000-01-01T00:00:00+00:00") == 0
     assert queue.prune("2999-01-01T00:00:00+00:00") == 1
     assert not queue.known("ended")
+
+
+class Trap:
+    """Makes a folder when a pickle of it is read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self._folder),)
+
+
+@pytest.mark.parametrize("column", ["output", "error"])
+def test_a_pickle_in_the_database_is_not_read(
+    queue: JobQueue, database_url: str, tmp_path: Path, column: str
+) -> None:
+    trap = tmp_path / "trap"
+    text = base64.b64encode(pickle.dumps(Trap(trap))).decode()
+    queue.submit("job")
+    engine = sa.create_engine(normalise_url(engine_url(database_url)))
+    schema = "dbos." if engine.dialect.name == "postgresql" else ""
+    with engine.begin() as connection:
+        ended = f"UPDATE {schema}workflow_status SET serialization = 'py_pickle', status = 'ERROR'"
+        connection.execute(sa.text(ended))
+        put = f"INSERT INTO {schema}workflow_output (workflow_uuid, {column}) VALUES ('job', :text)"
+        connection.execute(sa.text(put), {"text": text})
+    engine.dispose()
+    assert queue.output("job") == text
+    assert not trap.exists()
+    pickle.loads(base64.b64decode(text))  # the trap itself is sound
+    assert trap.exists()
 
 
 def test_one_module_knows_the_engine() -> None:
