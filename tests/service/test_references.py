@@ -52,6 +52,26 @@ def test_context_of_a_validation(service: LiveService, http, submit, environment
     assert service.backend.blobs.read_bytes(exact["digest"]) == b"E"
 
 
+def test_repeating_a_submission_needs_no_reference(service: LiveService, http, submit) -> None:
+    made = submit()
+    service.succeed(made["id"], {}, transfer_h5=b"T")
+    body = {"kind": "compress", "transfer": f"{made['id']}/transfer.h5"}
+
+    def by_key(body: dict[str, object]) -> httpx.Response:
+        return http.post("/v1/jobs", json=body, headers={"Idempotency-Key": "outlives"})
+
+    def by_id(body: dict[str, object]) -> httpx.Response:
+        return http.put("/v1/jobs/outlives", json=body)
+
+    first = {send: send(body).json()["id"] for send in (by_key, by_id)}
+    assert http.delete(f"/v1/jobs/{made['id']}").status_code == 204
+    for send, job in first.items():
+        again = send(body)
+        assert (again.status_code, again.json()["id"]) == (200, job)
+        assert send(body | {"seed": 1}).status_code == 409
+    assert http.post("/v1/jobs", json=body).status_code == 404  # a new one does
+
+
 @pytest.mark.parametrize(
     ("change", "pointer"),
     [

@@ -42,6 +42,16 @@ class JobService:
             raise InputError(f"job ids that start with {PARSE_PREFIX} are the service's own")
         body = request.model_dump(mode="json")
         identity = {"request": body, "retry_of": retry_of}
+        digest = f"sha256:{json_digest(identity)}"
+        # before the references are looked at: what they name may be gone by now
+        known = self._backend.jobs.earlier(
+            project=self._project,
+            job_id=job_id,
+            idempotency_key=idempotency_key,
+            body_digest=digest,
+        )
+        if known is not None:
+            return known, False
         return self._create(
             NewJob(
                 id=job_id or new_id(request.kind),
@@ -54,7 +64,7 @@ class JobService:
                 timeout_s=request.timeout_s,
                 retry_of=retry_of,
                 idempotency_key=idempotency_key,
-                body_digest=f"sha256:{json_digest(identity)}",
+                body_digest=digest,
             )
         )
 

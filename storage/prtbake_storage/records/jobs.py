@@ -89,8 +89,51 @@ class Jobs:
                 session.flush()
                 append_event(session, new.id, "state", {"state": JobState.queued.value})
         except IntegrityError:
-            return self._earlier(new), False
+            job = self.earlier(
+                project=new.project,
+                job_id=new.id,
+                idempotency_key=new.idempotency_key,
+                body_digest=new.body_digest,
+            )
+            if job is None:
+                raise Conflict(
+                    f"job {new.id} was deleted at this moment: submit it again"
+                ) from None
+            return job, False
         return to_job(row), True
+
+    def earlier(
+        self,
+        *,
+        project: str,
+        job_id: str | None,
+        idempotency_key: str | None,
+        body_digest: str | None,
+    ) -> Job | None:
+        """Find the job that an id or idempotency key made before.
+
+        `Conflict` if it had another body, or if the id is another project's.
+        """
+        with self._database.read() as session:
+            row = None
+            if idempotency_key is not None:  # = NULL would find any job that has none
+                row = session.scalars(
+                    sa.select(JobRow).where(
+                        JobRow.project == project, JobRow.idempotency_key == idempotency_key
+                    )
+                ).first()
+            if row is None and job_id is not None:
+                row = session.get(JobRow, job_id)
+            if row is None:
+                return None
+            if row.project != project:
+                raise Conflict(f"the job id {job_id} is taken")
+            if row.body_digest != body_digest:
+                raise Conflict(
+                    f"job {row.id} was submitted with this id or idempotency key"
+                    " and another request"
+                )
+            return to_job(row, _artefacts(session, [row.id])[row.id])
 
     def get(self, job_id: str, *, project: str | None = None) -> Job:
         """Look a job up; `NotFound` if there is none, or it is another project's."""
@@ -173,28 +216,6 @@ class Jobs:
             if JobState(row.state) not in TERMINAL:
                 raise Conflict(f"job {job_id} is {row.state}: cancel it before deleting it")
             session.delete(row)
-
-    def _earlier(self, new: NewJob) -> Job:
-        with self._database.read() as session:
-            row = None
-            if new.idempotency_key is not None:  # = NULL would find any job that has none
-                row = session.scalars(
-                    sa.select(JobRow).where(
-                        JobRow.project == new.project,
-                        JobRow.idempotency_key == new.idempotency_key,
-                    )
-                ).first()
-            row = row or session.get(JobRow, new.id)
-            if row is None:
-                raise Conflict(f"job {new.id} was deleted at this moment: submit it again")
-            if row.project != new.project:
-                raise Conflict(f"the job id {new.id} is taken")
-            if row.body_digest != new.body_digest:
-                raise Conflict(
-                    f"job {row.id} was submitted with this id or idempotency key"
-                    " and another request"
-                )
-            return to_job(row, _artefacts(session, [row.id])[row.id])
 
 
 def _find(session: Session, job_id: str, project: str | None, *, lock: bool = False) -> JobRow:
