@@ -15,6 +15,8 @@ log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
 PARSE_PREFIX = "parse-"
 ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
+QUICK_TIMEOUT_S = 600.0
+"""Longest run of an estimate or a parsing: their CPU time is limited to half of it."""
 
 
 class JobService:
@@ -80,6 +82,7 @@ class JobService:
                 internal=True,
                 quick=True,
                 priority=ESTIMATE_PRIORITY,
+                timeout_s=QUICK_TIMEOUT_S,
             )
         )
         return job

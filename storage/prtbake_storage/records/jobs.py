@@ -16,6 +16,7 @@ from prtbake_storage.records.database import Database
 from prtbake_storage.records.events import append_event
 from prtbake_storage.records.models import ArtefactRow, JobRow
 from prtbake_storage.records.pages import read_page
+from prtbake_storage.records.resources import settle_resource
 from prtbake_storage.records.rows import to_job
 
 
@@ -64,30 +65,9 @@ class Jobs:
         tuple
             The job, and whether it is new.  `Conflict` if the earlier one had another body.
         """
-        row = JobRow(
-            id=new.id,
-            project=new.project,
-            kind=new.kind,
-            internal=new.internal,
-            quick=new.quick,
-            state=JobState.queued.value,
-            revision=1,
-            request=new.request,
-            context=new.context,
-            progress=Progress().model_dump(mode="json"),
-            label=new.label,
-            priority=new.priority,
-            timeout_s=new.timeout_s,
-            retry_of=new.retry_of,
-            idempotency_key=new.idempotency_key,
-            body_digest=new.body_digest,
-            created=utc_now(),
-        )
         try:
             with self._database.write() as session:
-                session.add(row)
-                session.flush()
-                append_event(session, new.id, "state", {"state": JobState.queued.value})
+                row = insert_job(session, new)
         except IntegrityError:
             job = self.earlier(
                 project=new.project,
@@ -206,6 +186,8 @@ class Jobs:
                 row.revision += 1
                 row.finished = utc_now() if target in TERMINAL else None
                 append_event(session, job_id, "state", {"state": target.value})
+                if target in TERMINAL:
+                    settle_resource(session, row)
             session.flush()
             return to_job(row, _artefacts(session, [job_id])[job_id])
 
@@ -216,6 +198,33 @@ class Jobs:
             if JobState(row.state) not in TERMINAL:
                 raise Conflict(f"job {job_id} is {row.state}: cancel it before deleting it")
             session.delete(row)
+
+
+def insert_job(session: Session, new: NewJob) -> JobRow:
+    """Insert a queued job inside the caller's transaction; an `IntegrityError` if it is there."""
+    row = JobRow(
+        id=new.id,
+        project=new.project,
+        kind=new.kind,
+        internal=new.internal,
+        quick=new.quick,
+        state=JobState.queued.value,
+        revision=1,
+        request=new.request,
+        context=new.context,
+        progress=Progress().model_dump(mode="json"),
+        label=new.label,
+        priority=new.priority,
+        timeout_s=new.timeout_s,
+        retry_of=new.retry_of,
+        idempotency_key=new.idempotency_key,
+        body_digest=new.body_digest,
+        created=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    append_event(session, new.id, "state", {"state": JobState.queued.value})
+    return row
 
 
 def _find(session: Session, job_id: str, project: str | None, *, lock: bool = False) -> JobRow:
