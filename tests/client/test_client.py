@@ -164,7 +164,7 @@ def test_registration_waits_and_refuses(
 
 def test_registration_waits_no_longer_than_told(client: Client, service: LiveService) -> None:
     registration = BrdfRegistration(spec=GgxSpec(alpha=0.321))
-    with pytest.raises(prtbake.WaitTimeout, match="still parsing after 0.3 s") as caught:
+    with pytest.raises(prtbake.WaitTimeout, match=r"still parsing after 0\.3 s") as caught:
         client.register(registration, timeout_s=0.3)
     assert isinstance(caught.value.waited_for, Resource)
     # whoever cancels its job ends the waiting of others
