@@ -193,13 +193,13 @@ class JobPage(Wire):
 
 
 class Estimate(Wire):
-    """What a job would do and cost, without running it."""
+    """What a job would do and cost, without running it; None stands for what is not predicted."""
 
     plan: dict[str, Any]
     seconds: dict[str, float]
-    total_seconds: float
+    total_seconds: float | None
     artefact_bytes: dict[str, int]
-    peak_memory_bytes: int
+    peak_memory_bytes: int | None
     errors: dict[str, float]
     warnings: list[str] = Field(default_factory=list)
 
