@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, field_validator
 
-from prtbake_storage.contract.base import Digest, Wire
+from prtbake_storage.contract.base import Digest, Label, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 from prtbake_storage.contract.settings import (
     AssetSettings,
@@ -47,7 +47,7 @@ ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,
 
 
 class _Request(Wire):
-    label: str | None = Field(default=None, max_length=200)
+    label: Label | None = None
     priority: Annotated[int, Field(ge=1, le=100)] = 50
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     timeout_s: Annotated[int, Field(ge=1, le=7 * 86400)] | None = None
