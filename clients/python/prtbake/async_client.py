@@ -42,7 +42,10 @@ T = TypeVar("T")
 
 
 class AsyncClient:
-    """Talk to a prtbake service from an event loop; parameters as for `prtbake.Client`."""
+    """Talk to a prtbake service from an event loop; parameters as for `prtbake.Client`.
+
+    A local service must be ready: `prtbake.Client` waits for one that is starting.
+    """
 
     def __init__(
         self,
@@ -54,7 +57,8 @@ class AsyncClient:
         retries: int = 2,
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
-        endpoint = discover(url, key, data_dir)
+        # waiting for a local service that is starting would hold the event loop up
+        endpoint = discover(url, key, data_dir, grace_s=0.0, start_s=0.0)
         self.url = endpoint.url
         self._timeout_s = timeout_s
         self._retries = retries

@@ -48,7 +48,8 @@ class Client:
     ----------
     url, key
         The service and an API key; by default those of ``PRTBAKE_URL`` and ``PRTBAKE_API_KEY``,
-        or of the ``prtbake serve`` that runs on this machine.
+        or of the ``prtbake serve`` that runs on this machine; one that is starting is waited for,
+        a minute at most.
     data_dir
         Data directory of a local service to find instead.
     timeout_s
@@ -57,6 +58,11 @@ class Client:
         How often a request that may be repeated is sent again after a lost connection or a 503.
     transport
         Another httpx transport, for tests.
+
+    Raises
+    ------
+    ServiceUnreachable
+        When no service is named and none runs on this machine.
 
     Examples
     --------
