@@ -15,6 +15,7 @@ from prtbake_storage.records import (
     Events,
     Jobs,
     Keys,
+    Registrations,
     Resources,
     Uploads,
     Workers,
@@ -37,6 +38,7 @@ class Backend:
     jobs: Jobs
     events: Events
     resources: Resources
+    registrations: Registrations
     uploads: Uploads
     workers: Workers
     keys: Keys
@@ -55,6 +57,7 @@ class Backend:
             jobs=Jobs(database),
             events=Events(database),
             resources=Resources(database),
+            registrations=Registrations(database),
             uploads=Uploads(database),
             workers=Workers(database),
             keys=Keys(database),

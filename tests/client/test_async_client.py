@@ -84,5 +84,7 @@ def test_files_and_registration(service: LiveService, tmp_path: Path) -> None:
         service.answer_next("register", lambda job: service.succeed(job, result))
         brdf = await client.register(BrdfRegistration(spec=LambertSpec(albedo=0.25)))
         assert (await client.resource(brdf.id)).state == "ready"
+        with pytest.raises(WaitTimeout):
+            await client.register(BrdfRegistration(spec=LambertSpec(albedo=0.26)), timeout_s=0.3)
 
     run(service, work)

@@ -254,6 +254,11 @@ def test_estimate(run: Run, service: LiveService, environment: str) -> None:
     service.answer_next("estimate", lambda job: service.succeed(job, estimate))
     result = run("estimate", "fit-light", "--environment", environment, "-o", "json")
     assert json.loads(result.stdout) == estimate
+    unknown = estimate | {"total_seconds": None, "artefact_bytes": {}, "peak_memory_bytes": None}
+    service.answer_next("estimate", lambda job: service.succeed(job, unknown | {"seconds": {}}))
+    text = run("estimate", "fit-light", "--environment", environment).stdout
+    assert "not predicted" in text
+    assert "0 B" not in text
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from prtbake import Client, Conflict, InvalidRequest, JobNotSucceeded, NotFound,
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.brdf import GgxSpec
 from prtbake_storage.contract.jobs import AssetRequest, FitLightRequest, JobError, Progress
-from prtbake_storage.contract.resources import BrdfRegistration
+from prtbake_storage.contract.resources import BrdfRegistration, Resource
 
 
 def test_what_is_exported_is_listed() -> None:
@@ -160,6 +160,18 @@ def test_registration_waits_and_refuses(
     with pytest.raises(InvalidRequest, match="line 2: NaN") as caught:
         client.add_mesh(path)
     assert caught.value.problem.code == "invalid-mesh"
+
+
+def test_registration_waits_no_longer_than_told(client: Client, service: LiveService) -> None:
+    registration = BrdfRegistration(spec=GgxSpec(alpha=0.321))
+    with pytest.raises(prtbake.WaitTimeout, match=r"still parsing after 0\.3 s") as caught:
+        client.register(registration, timeout_s=0.3)
+    assert isinstance(caught.value.waited_for, Resource)
+    # whoever cancels its job ends the waiting of others
+    job = f"parse-{caught.value.waited_for.id}"
+    threading.Timer(0.4, client.cancel, [job]).start()
+    with pytest.raises(prtbake.ApiError, match="canceled"):
+        client.register(registration, timeout_s=20)
 
 
 def test_estimate_waits_past_a_202(

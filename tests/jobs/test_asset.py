@@ -7,11 +7,11 @@ import pytest
 
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.reconstruct import reconstruct
-from prtbake_storage.errors import SettingsError
+from prtbake_storage.errors import CorruptArtefact, InputError, SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs.registry import REGISTRY
-from support.local_stages import run_stages
+from support.local_stages import registered, run_stages
 from support.scenes import asset_request, run_asset, teapot_context
 
 
@@ -146,6 +146,55 @@ def test_estimate_plans_without_running(glossy_asset, store):
     estimate = REGISTRY.finish("estimate", quick, context, results).result
     assert estimate["total_seconds"] > 0
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
+
+
+def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
+    request, context, results = glossy_asset
+    quantised = results["quantise"][0]
+    digests = {
+        "transfer": results["join"][0]["transfer"],
+        "asset": quantised["asset"],
+        "exact": quantised["exact"],
+        "light": results["fit_light"][0]["light"],
+    }
+    given = {
+        "environment": context["environment"],
+        "artefacts": {name: {"digest": digest} for name, digest in digests.items()},
+    }
+    references = {name: f"job/{name}.h5" for name in digests}
+    settings = request["settings"]
+
+    def predict(kind, *roles, settings, **changes):
+        body = {"kind": kind, "settings": settings} | {role: references[role] for role in roles}
+        if kind in ("fit_light", "validate"):
+            body["environment"] = request["environment"]
+        stages = REGISTRY.stages("estimate", {"request": body}, given | changes)
+        return run_stages(stages, store)["estimate"][0]
+
+    compress = predict("compress", "transfer", settings=settings["compress"])
+    # the asset's own size, its two 16-bit copies and its mesh left out
+    assert compress["artefact_bytes"]["asset.h5"] == pytest.approx(quantised["bytes"], rel=0.5)
+    assert compress["total_seconds"] == sum(compress["seconds"].values()) > 0
+    assert compress["peak_memory_bytes"] > 250_000_000
+    with pytest.raises(SettingsError, match="clustered PCA"):
+        predict("compress", "transfer", settings={"method": "cpca"})
+
+    longer = [predict("fit_light", settings={"n_lobes": n})["total_seconds"] for n in (10, 100)]
+    assert longer[0] < longer[1]
+
+    render = predict("render", "asset", "light", settings={})
+    assert (render["total_seconds"], render["peak_memory_bytes"]) == (None, None)
+
+    roles = ("transfer", "asset", "light")
+    assert predict("validate", *roles, settings=settings["validation"])["total_seconds"] > 0
+    other = registered(store, "environment", builtin={"name": "hall", "width": 32})
+    with pytest.raises(InputError, match="another environment"):
+        predict("validate", *roles, settings={}, environment=other)
+    # what each of them cannot read is found here, not by the job
+    swapped = {name: {"digest": digests["light"]} for name in digests}
+    for kind, own in (("compress", roles[:1]), ("render", roles[1:]), ("validate", roles)):
+        with pytest.raises(CorruptArtefact):
+            predict(kind, *own, settings={}, artefacts=swapped)
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,25 @@ def test_settings_of_a_stage_are_checked(http: httpx.Client, mesh: str, environm
     }
 
 
+@pytest.mark.parametrize("stage", ["render", "validation"])
+def test_two_cameras_of_one_name_are_refused(
+    http: httpx.Client, mesh: str, environment: str, stage: str
+) -> None:
+    """Their pictures would be two files of one name, found out when all work is done."""
+    body = {
+        "kind": "asset",
+        "mesh": mesh,
+        "environment": environment,
+        "brdf": {"model": "lambert"},
+        "settings": {stage: {"cameras": [{"azimuth_deg": 0}, {"azimuth_deg": 90}]}},
+    }
+    problem = http.post("/v1/jobs", json=body).json()
+    assert (problem["status"], problem["pointer"]) == (422, f"/settings/{stage}/cameras")
+    assert "cameras 0 and 1 are both called 'front'" in problem["detail"]
+    body["settings"] = {stage: {"cameras": [{"azimuth_deg": 0}, {"name": "side"}]}}
+    assert http.post("/v1/jobs", json=body).status_code == 202
+
+
 def test_broken_json_is_malformed(http: httpx.Client) -> None:
     headers = {"Content-Type": "application/json"}
     answer = http.post("/v1/jobs", content=b'{"kind": ', headers=headers)

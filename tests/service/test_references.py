@@ -5,6 +5,7 @@ from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
 
 LAMBERT = {"model": "lambert", "albedo": [0.8, 0.2, 0.1]}
+FILES = {"transfer_h5": b"T", "asset_h5": b"A", "asset-float32_h5": b"E", "light_h5": b"L"}
 
 
 def test_context_of_an_asset(service: LiveService, http, mesh: str, environment: str) -> None:
@@ -42,14 +43,34 @@ def test_context_of_artefacts(service: LiveService, http, submit) -> None:
 
 def test_context_of_a_validation(service: LiveService, http, submit, environment: str) -> None:
     job = submit(seed=77)
-    service.succeed(job["id"], {}, transfer_h5=b"T", asset_h5=b"A", exact_h5=b"E", light_h5=b"L")
+    service.succeed(job["id"], {}, **FILES)
     files = {role: f"{job['id']}/{role}.h5" for role in ("transfer", "asset", "light")}
     body = {"kind": "validate", "environment": environment} | files
     made = http.post("/v1/jobs", json=body).json()
     assert set(service.backend.jobs.context(made["id"])["artefacts"]) == set(files)
-    made = http.post("/v1/jobs", json=body | {"exact": f"{job['id']}/exact.h5"}).json()
+    made = http.post("/v1/jobs", json=body | {"exact": f"{job['id']}/asset-float32.h5"}).json()
     exact = service.backend.jobs.context(made["id"])["artefacts"]["exact"]
     assert service.backend.blobs.read_bytes(exact["digest"]) == b"E"
+
+
+def test_repeating_a_submission_needs_no_reference(service: LiveService, http, submit) -> None:
+    made = submit()
+    service.succeed(made["id"], {}, transfer_h5=b"T")
+    body = {"kind": "compress", "transfer": f"{made['id']}/transfer.h5"}
+
+    def by_key(body: dict[str, object]) -> httpx.Response:
+        return http.post("/v1/jobs", json=body, headers={"Idempotency-Key": "outlives"})
+
+    def by_id(body: dict[str, object]) -> httpx.Response:
+        return http.put("/v1/jobs/outlives", json=body)
+
+    first = {send: send(body).json()["id"] for send in (by_key, by_id)}
+    assert http.delete(f"/v1/jobs/{made['id']}").status_code == 204
+    for send, job in first.items():
+        again = send(body)
+        assert (again.status_code, again.json()["id"]) == (200, job)
+        assert send(body | {"seed": 1}).status_code == 409
+    assert http.post("/v1/jobs", json=body).status_code == 404  # a new one does
 
 
 @pytest.mark.parametrize(
@@ -70,6 +91,29 @@ def test_what_is_not_there_is_404_with_a_pointer(
         answer = http.post(path, json=body)
         assert answer.status_code == 404
         assert answer.json()["pointer"] == pointer
+
+
+@pytest.mark.parametrize(
+    ("role", "wrong"),
+    [
+        ("transfer", "light.h5"),
+        ("asset", "transfer.h5"),
+        ("exact", "asset.h5"),
+        ("light", "asset-float32.h5"),
+    ],
+)
+def test_an_artefact_of_another_kind_is_refused(
+    service: LiveService, http, submit, environment: str, role: str, wrong: str
+) -> None:
+    """At submission, where it is seen, and not by the job that cannot read it."""
+    job = submit(seed=78)
+    service.succeed(job["id"], {}, **FILES)
+    files = {name: f"{job['id']}/{name}.h5" for name in ("transfer", "asset", "light")}
+    body = {"kind": "validate", "environment": environment} | files
+    for path in ("/v1/jobs", "/v1/jobs:estimate"):
+        answer = http.post(path, json=body | {role: f"{job['id']}/{wrong}"})
+        assert (answer.status_code, answer.json()["pointer"]) == (400, f"/{role}")
+        assert wrong in answer.json()["detail"]
 
 
 def test_an_artefact_must_be_finished(service: LiveService, http, submit) -> None:

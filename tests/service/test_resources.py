@@ -1,9 +1,11 @@
 import httpx
 import pytest
 
+from prtbake_service.jobs.service import QUICK_TIMEOUT_S
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
 from prtbake_storage.contract.resources import Resource, ResourcePage
+from prtbake_storage.records.models import JobRow
 
 PATIENT = {"Prefer": "respond-async, wait=30"}
 SKY = {"builtin": {"name": "sun_sky", "width": 32}}
@@ -31,6 +33,18 @@ def test_registration_goes_on_behind_a_202(service: LiveService, http: httpx.Cli
     assert found["understood"] == {"layout": "lat_long"}
     ready = http.post("/v1/environments", json=SKY)
     assert (ready.status_code, ready.json()["id"]) == (200, resource.id)
+
+
+def test_parsing_and_estimates_have_a_wall_clock(
+    service: LiveService, http: httpx.Client, environment: str
+) -> None:
+    body = {"builtin": {"name": "hall", "width": 48}}
+    parsing = "parse-" + http.post("/v1/environments", json=body).json()["id"]
+    request = {"kind": "fit_light", "environment": environment}
+    estimate = http.post("/v1/jobs:estimate", json=request).json()["id"]
+    with service.backend.database.read() as session:
+        for job in (parsing, estimate):
+            assert session.get_one(JobRow, job).timeout_s == QUICK_TIMEOUT_S
 
 
 def test_a_quick_worker_makes_it_a_201(service: LiveService, http: httpx.Client) -> None:

@@ -19,6 +19,7 @@ from prtbake.files import chunks_async, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
+    REGISTER_S,
     STREAM_SILENCE_S,
     check,
     client_options,
@@ -41,7 +42,10 @@ T = TypeVar("T")
 
 
 class AsyncClient:
-    """Talk to a prtbake service from an event loop; parameters as for `prtbake.Client`."""
+    """Talk to a prtbake service from an event loop; parameters as for `prtbake.Client`.
+
+    A local service must be ready: `prtbake.Client` waits for one that is starting.
+    """
 
     def __init__(
         self,
@@ -53,7 +57,8 @@ class AsyncClient:
         retries: int = 2,
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
-        endpoint = discover(url, key, data_dir)
+        # waiting for a local service that is starting would hold the event loop up
+        endpoint = discover(url, key, data_dir, grace_s=0.0, start_s=0.0)
         self.url = endpoint.url
         self._timeout_s = timeout_s
         self._retries = retries
@@ -269,12 +274,18 @@ class AsyncClient:
         check(response)
         return calls.read_upload(response)
 
-    async def register(self, registration: calls.Registration) -> Resource:
+    async def register(
+        self, registration: calls.Registration, *, timeout_s: float = REGISTER_S
+    ) -> Resource:
         """Have a mesh, BRDF or environment parsed; return what was understood."""
+        start = time.monotonic()
         resource = await self._send(calls.register(registration), extra_s=LONG_POLL_S)
         while resource.state == "parsing":
-            call = calls.get_resource(resource.id, wait_s=LONG_POLL_S)
-            resource = await self._send(call, extra_s=LONG_POLL_S)
+            left = min(LONG_POLL_S, start + timeout_s - time.monotonic())
+            if left <= 0:
+                raise WaitTimeout(resource, timeout_s)
+            call = calls.get_resource(resource.id, wait_s=round(left, 3))
+            resource = await self._send(call, extra_s=left)
         return parsed(resource)
 
     async def resource(self, resource_id: str) -> Resource:

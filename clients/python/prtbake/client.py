@@ -17,6 +17,7 @@ from prtbake.files import chunks, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
+    REGISTER_S,
     STREAM_SILENCE_S,
     check,
     client_options,
@@ -47,7 +48,8 @@ class Client:
     ----------
     url, key
         The service and an API key; by default those of ``PRTBAKE_URL`` and ``PRTBAKE_API_KEY``,
-        or of the ``prtbake serve`` that runs on this machine.
+        or of the ``prtbake serve`` that runs on this machine; one that is starting is waited for,
+        a minute at most.
     data_dir
         Data directory of a local service to find instead.
     timeout_s
@@ -56,6 +58,11 @@ class Client:
         How often a request that may be repeated is sent again after a lost connection or a 503.
     transport
         Another httpx transport, for tests.
+
+    Raises
+    ------
+    ServiceUnreachable
+        When no service is named and none runs on this machine.
 
     Examples
     --------
@@ -310,18 +317,26 @@ class Client:
         check(response)
         return calls.read_upload(response)
 
-    def register(self, registration: calls.Registration) -> Resource:
+    def register(
+        self, registration: calls.Registration, *, timeout_s: float = REGISTER_S
+    ) -> Resource:
         """Have a mesh, BRDF or environment parsed; return what was understood.
 
         Raises
         ------
         InvalidRequest
             When the file cannot be used; says what is wrong and where.
+        WaitTimeout
+            After ``timeout_s`` seconds; the parsing goes on.
         """
+        start = time.monotonic()
         resource = self._send(calls.register(registration), extra_s=LONG_POLL_S)
         while resource.state == "parsing":
-            call = calls.get_resource(resource.id, wait_s=LONG_POLL_S)
-            resource = self._send(call, extra_s=LONG_POLL_S)
+            left = min(LONG_POLL_S, start + timeout_s - time.monotonic())
+            if left <= 0:
+                raise WaitTimeout(resource, timeout_s)
+            call = calls.get_resource(resource.id, wait_s=round(left, 3))
+            resource = self._send(call, extra_s=left)
         return parsed(resource)
 
     def resource(self, resource_id: str) -> Resource:

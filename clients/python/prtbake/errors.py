@@ -22,6 +22,7 @@ import httpx
 from pydantic import ValidationError
 
 from prtbake_storage.contract.jobs import Job, Problem
+from prtbake_storage.contract.resources import Resource
 
 
 class PrtbakeError(Exception):
@@ -80,11 +81,11 @@ class JobNotSucceeded(PrtbakeError):
 
 
 class WaitTimeout(PrtbakeError, TimeoutError):
-    """The job did not end within the time that the caller would wait."""
+    """A job or a registration did not end within the time that the caller would wait."""
 
-    def __init__(self, job: Job, seconds: float) -> None:
-        self.job = job
-        super().__init__(f"job {job.id} is still {job.state} after {seconds:g} s")
+    def __init__(self, waited_for: Job | Resource, seconds: float) -> None:
+        self.waited_for = waited_for
+        super().__init__(f"{waited_for.id} is still {waited_for.state} after {seconds:g} s")
 
 
 class DownloadError(PrtbakeError):

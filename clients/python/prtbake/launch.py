@@ -7,7 +7,6 @@ extras install.
 import ctypes
 import fcntl
 import importlib.util
-import json
 import os
 import signal
 import socket
@@ -20,11 +19,9 @@ from typing import IO, Self
 
 import httpx
 
-from prtbake.config import SERVER_FILE, read_key, read_server_url
+from prtbake.config import SERVER_FILE, START_S, read_key, read_server, write_server
 from prtbake.errors import LaunchError
 
-START_S = 60.0
-"""A cold start imports the engine and migrates the database: 3 s on a quiet machine."""
 STOP_S = 20.0
 """Workers hand their tiles back and leave within 15 s, or are killed by their supervisor."""
 LOG_LINES = 8
@@ -87,10 +84,11 @@ class LocalService:
         self._take_lock()
         try:
             with self._listen() as listener:
+                # the port takes connections from now on: clients must know that it is too early
+                write_server(self.data_dir, self.url, ready=False)
                 self._start(listener)
             self._await_ready()
-            record = {"url": self.url, "pid": os.getpid()}
-            (self.data_dir / SERVER_FILE).write_text(json.dumps(record))
+            write_server(self.data_dir, self.url, ready=True)
         except BaseException:
             self.stop()
             raise
@@ -141,8 +139,8 @@ class LocalService:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             lock.close()
-            where = read_server_url(self.data_dir)
-            at = f" at {where}" if where else ""
+            server = read_server(self.data_dir)
+            at = f" at {server.url}" if server else ""
             raise LaunchError(f"a service runs on {self.data_dir} already{at}") from None
         self._lock = lock
 

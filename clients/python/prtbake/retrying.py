@@ -13,6 +13,8 @@ FIRST_PAUSE_S = 0.2
 BUSY = frozenset({429, 503})
 LONG_POLL_S = 20.0
 """One long poll; proxies commonly cut idle connections after 30 to 60 s."""
+REGISTER_S = 900.0
+"""The service parses for 600 s at most; the rest is waiting for a worker."""
 STREAM_SILENCE_S = 60.0
 """Four heartbeats of the service without a byte mean a dead connection."""
 _LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})

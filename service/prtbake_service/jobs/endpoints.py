@@ -5,7 +5,6 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Response
 from fastapi.responses import StreamingResponse
-from pydantic import AwareDatetime
 from starlette.concurrency import run_in_threadpool
 
 from prtbake_service.auth import Caller
@@ -14,6 +13,7 @@ from prtbake_service.etags import etag_of, none_matches
 from prtbake_service.jobs.service import JobService, estimate_from
 from prtbake_service.jobs.stream import is_over, stream_events
 from prtbake_service.waiting import preferred_wait, wait_until
+from prtbake_storage.contract.base import Label, Moment
 from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobPage, JobRequest, JobState
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -83,9 +83,9 @@ def list_jobs(
     *,
     state: Annotated[list[JobState] | None, Query(description="repeat for several")] = None,
     kind: Annotated[list[JobKind] | None, Query(description="repeat for several")] = None,
-    label: Annotated[str | None, Query(max_length=200)] = None,
-    created_after: AwareDatetime | None = None,
-    created_before: AwareDatetime | None = None,
+    label: Annotated[Label | None, Query()] = None,
+    created_after: Moment | None = None,
+    created_before: Moment | None = None,
     cursor: Annotated[str | None, Query(max_length=300)] = None,
     limit: Annotated[int, Query(ge=1, le=PAGE_MAX)] = PAGE,
 ) -> JobPage:

@@ -23,7 +23,7 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
-from prtbake_storage.errors import Conflict, NotFound
+from prtbake_storage.errors import Conflict, InputError, NotFound
 
 AnyRequest = (
     BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
@@ -39,11 +39,21 @@ _STAGES: dict[str, type[BaseModel]] = {
 }
 
 
+_FILES = {
+    "transfer": ("transfer.h5",),
+    "asset": ("asset.h5", "asset-float32.h5"),
+    "exact": ("asset-float32.h5",),
+    "light": ("light.h5",),
+}
+"""Role of an artefact in a request -> the names that jobs give to files of that kind."""
+
+
 class Resolver:
     """Resolve the references of one project's requests.
 
-    Every method raises `NotFound` for what the project does not have and `Conflict` for what is
-    there but cannot be used (yet), with the pointer to the field that named it.
+    Every method raises `NotFound` for what the project does not have, `Conflict` for what is there
+    but cannot be used (yet) and `InputError` for what is of another kind, with the pointer to the
+    field that named it.
     """
 
     def __init__(self, backend: Backend, project: str) -> None:
@@ -115,6 +125,11 @@ class Resolver:
     def _artefact(self, role: str, reference: str) -> Context:
         pointer = f"/{role}"
         job_id, _, name = reference.partition("/")
+        if name not in _FILES[role]:
+            fitting = " or ".join(_FILES[role])
+            raise InputError(
+                f"{name} cannot be the {role}: that is a job's {fitting}", pointer=pointer
+            )
         try:
             job = self._backend.jobs.get(job_id, project=self._project)
         except NotFound as error:

@@ -2,12 +2,15 @@
 
 import logging
 import secrets
+from typing import get_args
+
+from pydantic import ValidationError
 
 from prtbake_service.backend import Backend
-from prtbake_service.errors_http import ProblemError
+from prtbake_service.errors_http import ProblemError, validation_entries
 from prtbake_service.jobs.references import AnyRequest, Resolver
 from prtbake_storage.blobs.base import json_digest
-from prtbake_storage.contract.jobs import Estimate, Job, JobState, job_request_adapter
+from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobState, job_request_adapter
 from prtbake_storage.errors import Conflict, InputError, PrtError
 from prtbake_storage.records import NewJob
 
@@ -15,6 +18,8 @@ log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
 PARSE_PREFIX = "parse-"
 ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
+QUICK_TIMEOUT_S = 600.0
+"""Longest run of an estimate or a parsing: their CPU time is limited to half of it."""
 
 
 class JobService:
@@ -42,6 +47,16 @@ class JobService:
             raise InputError(f"job ids that start with {PARSE_PREFIX} are the service's own")
         body = request.model_dump(mode="json")
         identity = {"request": body, "retry_of": retry_of}
+        digest = f"sha256:{json_digest(identity)}"
+        # before the references are looked at: what they name may be gone by now
+        known = self._backend.jobs.earlier(
+            project=self._project,
+            job_id=job_id,
+            idempotency_key=idempotency_key,
+            body_digest=digest,
+        )
+        if known is not None:
+            return known, False
         return self._create(
             NewJob(
                 id=job_id or new_id(request.kind),
@@ -54,7 +69,7 @@ class JobService:
                 timeout_s=request.timeout_s,
                 retry_of=retry_of,
                 idempotency_key=idempotency_key,
-                body_digest=f"sha256:{json_digest(identity)}",
+                body_digest=digest,
             )
         )
 
@@ -70,6 +85,7 @@ class JobService:
                 internal=True,
                 quick=True,
                 priority=ESTIMATE_PRIORITY,
+                timeout_s=QUICK_TIMEOUT_S,
             )
         )
         return job
@@ -77,12 +93,19 @@ class JobService:
     def retry(self, job_id: str, *, idempotency_key: str | None = None) -> tuple[Job, bool]:
         """Make a new job from one that ended badly; finished tiles are found again."""
         old = self.get(job_id)
+        if old.kind not in get_args(JobKind):
+            raise Conflict(f"job {job_id} is the service's own: register or estimate anew")
         if not old.state.terminal or old.state is JobState.succeeded:
             raise Conflict(
                 f"job {job_id} is {old.state}: only failed, canceled and expired jobs"
                 " can be tried again"
             )
-        request = job_request_adapter.validate_python(old.request)
+        try:
+            request = job_request_adapter.validate_python(old.request)
+        except ValidationError as error:  # an earlier version took it
+            entries = validation_entries(error.errors(), old.request)
+            detail = f"the request of job {job_id} is not taken any more: {entries[0]['detail']}"
+            raise Conflict(detail, pointer=entries[0]["pointer"]) from error
         return self.submit(request, idempotency_key=idempotency_key, retry_of=job_id)
 
     def cancel(self, job_id: str) -> Job:

@@ -1,11 +1,14 @@
 """Registering inputs: a resource row and the quick job that parses it."""
 
-import secrets
-
 from prtbake_service.backend import Backend
 from prtbake_service.errors_http import ProblemError
 from prtbake_service.jobs.references import Resolver
-from prtbake_service.jobs.service import PARSE_PREFIX, STATUS_OF_KIND, enqueue
+from prtbake_service.jobs.service import (
+    PARSE_PREFIX,
+    QUICK_TIMEOUT_S,
+    STATUS_OF_KIND,
+    enqueue,
+)
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.resources import (
     BrdfRegistration,
@@ -53,44 +56,36 @@ class ResourceService:
         if registration.blob is not None:
             Resolver(self._backend, self._project).require_upload(registration.blob, "/blob")
         request = registration.model_dump(mode="json")
-        resource, is_new = self._backend.resources.create(
-            self._id(request),
+        resource_id = self._id(request)
+        begun = self._backend.registrations.begin(
+            resource_id,
             self._kind,
             request,
+            self._parser(resource_id, request),
             project=self._project,
             label=registration.label,
         )
-        if resource.state == "refused":
-            self._backend.resources.parse_again(resource.id)
-        if resource.state != "ready":
-            self._parse(resource.id, request)
-            resource = self.get(resource.id)
-        return resource, is_new
+        if begun.job is not None:
+            enqueue(self._backend, begun.job)
+        return begun.resource, begun.is_new
 
     def _id(self, request: dict[str, object]) -> str:
         # what a resource is called does not change what it is
         named = {"project": self._project} | {k: v for k, v in request.items() if k != "label"}
         return f"{self._kind}-{json_digest(named)[:16]}"
 
-    def _parse(self, resource_id: str, request: dict[str, object]) -> None:
-        # one job for a registration that comes twice, another once that one has ended
-        first = f"{PARSE_PREFIX}{resource_id}"
-        for job_id in (first, f"{first}-{secrets.token_hex(6)}"):
-            new = NewJob(
-                id=job_id,
-                kind="register",
-                request={"resource_kind": self._kind, "registration": request},
-                context={CONTEXT_KEY: resource_id},
-                project=self._project,
-                internal=True,
-                quick=True,
-                priority=PARSE_PRIORITY,
-            )
-            job, is_new = self._backend.jobs.create(new)
-            if is_new:
-                enqueue(self._backend, new)
-            if not job.state.terminal:
-                return
+    def _parser(self, resource_id: str, request: dict[str, object]) -> NewJob:
+        return NewJob(
+            id=f"{PARSE_PREFIX}{resource_id}",
+            kind="register",
+            request={"resource_kind": self._kind, "registration": request},
+            context={CONTEXT_KEY: resource_id},
+            project=self._project,
+            internal=True,
+            quick=True,
+            priority=PARSE_PRIORITY,
+            timeout_s=QUICK_TIMEOUT_S,
+        )
 
 
 def refusal_of(resource: Resource) -> PrtError:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, field_validator
 
-from prtbake_storage.contract.base import Digest, Wire
+from prtbake_storage.contract.base import Digest, Label, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 from prtbake_storage.contract.settings import (
     AssetSettings,
@@ -47,7 +47,7 @@ ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,
 
 
 class _Request(Wire):
-    label: str | None = Field(default=None, max_length=200)
+    label: Label | None = None
     priority: Annotated[int, Field(ge=1, le=100)] = 50
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     timeout_s: Annotated[int, Field(ge=1, le=7 * 86400)] | None = None
@@ -193,13 +193,13 @@ class JobPage(Wire):
 
 
 class Estimate(Wire):
-    """What a job would do and cost, without running it."""
+    """What a job would do and cost, without running it; None stands for what is not predicted."""
 
     plan: dict[str, Any]
     seconds: dict[str, float]
-    total_seconds: float
+    total_seconds: float | None
     artefact_bytes: dict[str, int]
-    peak_memory_bytes: int
+    peak_memory_bytes: int | None
     errors: dict[str, float]
     warnings: list[str] = Field(default_factory=list)
 

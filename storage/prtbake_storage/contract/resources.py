@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from prtbake_storage.contract.base import Digest, Vec3, Wire
+from prtbake_storage.contract.base import Digest, Label, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 
 ResourceKind = Literal["mesh", "brdf", "environment"]
@@ -44,7 +44,7 @@ class MeshRegistration(Wire):
     filename: str | None = Field(default=None, max_length=255)
     orient_outward: bool = True
     crease_angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] | None = None
-    label: str | None = Field(default=None, max_length=200)
+    label: Label | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "MeshRegistration":
@@ -63,7 +63,7 @@ class EnvironmentRegistration(Wire):
     repair_non_finite: bool = False
     clamp_negative: bool = True
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
-    label: str | None = Field(default=None, max_length=200)
+    label: Label | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "EnvironmentRegistration":
@@ -78,7 +78,7 @@ class BrdfRegistration(Wire):
     blob: Digest | None = None
     spec: BrdfSpec | None = None
     filename: str | None = Field(default=None, max_length=255)
-    label: str | None = Field(default=None, max_length=200)
+    label: Label | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "BrdfRegistration":

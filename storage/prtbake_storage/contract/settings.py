@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Fraction, Positive, Vec3, Wire
 
@@ -80,12 +80,22 @@ class Camera(Wire):
     elevation_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 20.0
 
 
+def _distinct(cameras: list[Camera]) -> list[Camera]:
+    """Refuse two cameras of one name: their pictures are files of that name."""
+    first: dict[str, int] = {}
+    for place, camera in enumerate(cameras):
+        if (other := first.setdefault(camera.name, place)) != place:
+            raise ValueError(f"cameras {other} and {place} are both called {camera.name!r}")
+    return cameras
+
+
+Cameras = Annotated[list[Camera], Field(min_length=1, max_length=16), AfterValidator(_distinct)]
+
+
 class RenderSettings(Wire):
     """Previews: one picture a camera, and ``turntable_frames`` with the light turning."""
 
-    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = Field(
-        default_factory=lambda: [Camera()]
-    )
+    cameras: Cameras = Field(default_factory=lambda: [Camera()])
     width: Annotated[int, Field(ge=16, le=4096)] = 640
     height: Annotated[int, Field(ge=16, le=4096)] = 480
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
@@ -97,7 +107,7 @@ class RenderSettings(Wire):
 class ValidateSettings(Wire):
     """Reference pictures: ``passes`` x ``samples`` light samples give value and variance."""
 
-    cameras: Annotated[list[Camera], Field(min_length=1, max_length=16)] = Field(
+    cameras: Cameras = Field(
         default_factory=lambda: [
             Camera(),
             Camera(name="back", azimuth_deg=200.0, elevation_deg=35.0),

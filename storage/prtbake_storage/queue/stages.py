@@ -137,10 +137,15 @@ class ArtefactFile(NamedTuple):
 
 @dataclass(frozen=True)
 class Finished:
-    """What a job leaves."""
+    """What a job leaves; two files of one name are a `ValueError`."""
 
     result: dict[str, Any]
     artefacts: Sequence[ArtefactFile | tuple[str, str, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        names = [file[0] for file in self.artefacts]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"two artefacts are called {min(twice)!r}")
 
 
 class JobRunner(Protocol):

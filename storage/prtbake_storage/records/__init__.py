@@ -5,12 +5,14 @@ from prtbake_storage.records.events import Events
 from prtbake_storage.records.jobs import Jobs, NewJob
 from prtbake_storage.records.keys import Key, Keys
 from prtbake_storage.records.references import referenced_blobs
+from prtbake_storage.records.registrations import Begun, Registrations
 from prtbake_storage.records.resources import Resources
 from prtbake_storage.records.runs import NewArtefact, Run, Runs, Stop
 from prtbake_storage.records.uploads import Uploads
 from prtbake_storage.records.workers import Worker, Workers
 
 __all__ = [
+    "Begun",
     "Database",
     "Events",
     "Jobs",
@@ -18,6 +20,7 @@ __all__ = [
     "Keys",
     "NewArtefact",
     "NewJob",
+    "Registrations",
     "Resources",
     "Run",
     "Runs",

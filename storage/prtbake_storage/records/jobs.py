@@ -16,6 +16,7 @@ from prtbake_storage.records.database import Database
 from prtbake_storage.records.events import append_event
 from prtbake_storage.records.models import ArtefactRow, JobRow
 from prtbake_storage.records.pages import read_page
+from prtbake_storage.records.resources import settle_resource
 from prtbake_storage.records.rows import to_job
 
 
@@ -64,33 +65,55 @@ class Jobs:
         tuple
             The job, and whether it is new.  `Conflict` if the earlier one had another body.
         """
-        row = JobRow(
-            id=new.id,
-            project=new.project,
-            kind=new.kind,
-            internal=new.internal,
-            quick=new.quick,
-            state=JobState.queued.value,
-            revision=1,
-            request=new.request,
-            context=new.context,
-            progress=Progress().model_dump(mode="json"),
-            label=new.label,
-            priority=new.priority,
-            timeout_s=new.timeout_s,
-            retry_of=new.retry_of,
-            idempotency_key=new.idempotency_key,
-            body_digest=new.body_digest,
-            created=utc_now(),
-        )
         try:
             with self._database.write() as session:
-                session.add(row)
-                session.flush()
-                append_event(session, new.id, "state", {"state": JobState.queued.value})
+                row = insert_job(session, new)
         except IntegrityError:
-            return self._earlier(new), False
+            job = self.earlier(
+                project=new.project,
+                job_id=new.id,
+                idempotency_key=new.idempotency_key,
+                body_digest=new.body_digest,
+            )
+            if job is None:
+                raise Conflict(
+                    f"job {new.id} was deleted at this moment: submit it again"
+                ) from None
+            return job, False
         return to_job(row), True
+
+    def earlier(
+        self,
+        *,
+        project: str,
+        job_id: str | None,
+        idempotency_key: str | None,
+        body_digest: str | None,
+    ) -> Job | None:
+        """Find the job that an id or idempotency key made before.
+
+        `Conflict` if it had another body, or if the id is another project's.
+        """
+        with self._database.read() as session:
+            row = None
+            if idempotency_key is not None:  # = NULL would find any job that has none
+                row = session.scalars(
+                    sa.select(JobRow).where(
+                        JobRow.project == project, JobRow.idempotency_key == idempotency_key
+                    )
+                ).first()
+            if row is None and job_id is not None:
+                row = session.get(JobRow, job_id)
+            if row is None:
+                return None
+            if row.project != project:
+                raise Conflict(f"the job id {job_id} is taken")
+            if row.body_digest != body_digest:
+                raise Conflict(
+                    f"job {row.id} was submitted with this id or idempotency key"
+                    " and another request"
+                )
+            return to_job(row, _artefacts(session, [row.id])[row.id])
 
     def get(self, job_id: str, *, project: str | None = None) -> Job:
         """Look a job up; `NotFound` if there is none, or it is another project's."""
@@ -163,6 +186,8 @@ class Jobs:
                 row.revision += 1
                 row.finished = utc_now() if target in TERMINAL else None
                 append_event(session, job_id, "state", {"state": target.value})
+                if target in TERMINAL:
+                    settle_resource(session, row)
             session.flush()
             return to_job(row, _artefacts(session, [job_id])[job_id])
 
@@ -174,27 +199,32 @@ class Jobs:
                 raise Conflict(f"job {job_id} is {row.state}: cancel it before deleting it")
             session.delete(row)
 
-    def _earlier(self, new: NewJob) -> Job:
-        with self._database.read() as session:
-            row = None
-            if new.idempotency_key is not None:  # = NULL would find any job that has none
-                row = session.scalars(
-                    sa.select(JobRow).where(
-                        JobRow.project == new.project,
-                        JobRow.idempotency_key == new.idempotency_key,
-                    )
-                ).first()
-            row = row or session.get(JobRow, new.id)
-            if row is None:
-                raise Conflict(f"job {new.id} was deleted at this moment: submit it again")
-            if row.project != new.project:
-                raise Conflict(f"the job id {new.id} is taken")
-            if row.body_digest != new.body_digest:
-                raise Conflict(
-                    f"job {row.id} was submitted with this id or idempotency key"
-                    " and another request"
-                )
-            return to_job(row, _artefacts(session, [row.id])[row.id])
+
+def insert_job(session: Session, new: NewJob) -> JobRow:
+    """Insert a queued job inside the caller's transaction; an `IntegrityError` if it is there."""
+    row = JobRow(
+        id=new.id,
+        project=new.project,
+        kind=new.kind,
+        internal=new.internal,
+        quick=new.quick,
+        state=JobState.queued.value,
+        revision=1,
+        request=new.request,
+        context=new.context,
+        progress=Progress().model_dump(mode="json"),
+        label=new.label,
+        priority=new.priority,
+        timeout_s=new.timeout_s,
+        retry_of=new.retry_of,
+        idempotency_key=new.idempotency_key,
+        body_digest=new.body_digest,
+        created=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    append_event(session, new.id, "state", {"state": JobState.queued.value})
+    return row
 
 
 def _find(session: Session, job_id: str, project: str | None, *, lock: bool = False) -> JobRow:

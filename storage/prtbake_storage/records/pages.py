@@ -3,7 +3,7 @@
 import base64
 import binascii
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TypeVar
 
 import sqlalchemy as sa
@@ -49,8 +49,11 @@ def decode_cursor(cursor: str) -> tuple[datetime, str]:
         text = base64.urlsafe_b64decode(padded.encode("ascii")).decode()
         created, row_id = text.split("|", 1)
         moment = datetime.fromisoformat(created)
-    except (ValueError, binascii.Error) as error:
+        # the first hours of year 1 and the last of year 9999 do not exist in every zone
+        in_utc = moment.astimezone(UTC)
+    except (ValueError, OverflowError, binascii.Error) as error:
         raise InputError(f"not a cursor: {cursor[:100]!r}", pointer="/cursor") from error
-    if moment.tzinfo is None:
+    # PostgreSQL's texts cannot hold NUL, and refuse to be compared with it
+    if moment.tzinfo is None or "\0" in row_id:
         raise InputError(f"not a cursor: {cursor[:100]!r}", pointer="/cursor")
-    return moment, row_id
+    return in_utc, row_id

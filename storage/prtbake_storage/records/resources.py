@@ -1,15 +1,10 @@
 """Meshes, BRDFs and environments that were registered."""
 
-from typing import Any
-
-import sqlalchemy as sa
-from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from prtbake_storage.contract.jobs import JobState
 from prtbake_storage.contract.resources import Resource, ResourceKind, ResourcePage
 from prtbake_storage.errors import NotFound
-from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.models import JobRow, ResourceRow
 from prtbake_storage.records.pages import read_page
@@ -19,43 +14,10 @@ CONTEXT_KEY = "resource_id"
 
 
 class Resources:
-    """Reads and writes resources."""
+    """Reads resources; `Registrations` makes them, and the end of a job settles them."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-
-    def create(
-        self,
-        resource_id: str,
-        kind: ResourceKind,
-        request: dict[str, Any],
-        *,
-        project: str = "default",
-        label: str | None = None,
-    ) -> tuple[Resource, bool]:
-        """Insert a resource in state ``parsing``, or find the one with this id.
-
-        Returns
-        -------
-        tuple
-            The resource, and whether it is new.
-        """
-        row = ResourceRow(
-            id=resource_id,
-            project=project,
-            kind=kind,
-            state="parsing",
-            label=label,
-            request=request,
-            understood={},
-            created=utc_now(),
-        )
-        try:
-            with self._database.write() as session:
-                session.add(row)
-        except IntegrityError:
-            return self.get(resource_id, project=project), False
-        return to_resource(row), True
 
     def get(self, resource_id: str, *, project: str | None = None) -> Resource:
         """Look a resource up; `NotFound` if there is none, or it is another project's."""
@@ -82,24 +44,6 @@ class Resources:
         with self._database.read() as session:
             rows, more = read_page(session, ResourceRow, filters, cursor=cursor, limit=limit)
         return ResourcePage(items=[to_resource(row) for row in rows], next=more)
-
-    def ready(self, resource_id: str, *, canonical: str, understood: dict[str, Any]) -> None:
-        """Record what was understood; a resource parsed again may turn from refused to ready."""
-        self._set(resource_id, state="ready", canonical=canonical, understood=understood)
-
-    def refuse(self, resource_id: str, problem: dict[str, Any]) -> None:
-        """Record why a resource cannot be used."""
-        self._set(resource_id, state="refused", problem=problem)
-
-    def parse_again(self, resource_id: str) -> None:
-        """Set a refused resource back to ``parsing``."""
-        self._set(resource_id, state="parsing", problem=None)
-
-    def _set(self, resource_id: str, **values: Any) -> None:
-        with self._database.write() as session:
-            session.execute(
-                sa.update(ResourceRow).where(ResourceRow.id == resource_id).values(**values)
-            )
 
 
 def settle_resource(session: Session, job: JobRow) -> None:

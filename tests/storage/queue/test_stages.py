@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.queue import stages
 from prtbake_storage.queue.memo import Memory, recall, remember
-from prtbake_storage.queue.stages import Measured, Results, Stage, Task
+from prtbake_storage.queue.stages import Finished, Measured, Results, Stage, Task
 from prtbake_storage.queue.tally import Tally
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.runs import TaskProgress
@@ -54,6 +54,13 @@ def test_results_are_entered_once() -> None:
         results.add("tiles", [], [])
     with pytest.raises(KeyError):
         results["join"]
+
+
+def test_files_have_names_of_their_own() -> None:
+    one, other = ("a.png", "image/png", "sha256:1"), ("b.png", "image/png", "sha256:1")
+    assert len(Finished({}, [one, other]).artefacts) == 2
+    with pytest.raises(ValueError, match=r"a\.png"):
+        Finished({}, [one, other, one])
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from alembic.migration import MigrationContext
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
 from prtbake_storage.errors import NotFound, SettingsError
 from prtbake_storage.records import (
+    Begun,
     Database,
     Jobs,
     Keys,
     NewArtefact,
     NewJob,
+    Registrations,
     Resources,
     Runs,
     Stop,
@@ -25,6 +28,7 @@ from prtbake_storage.records import (
     Workers,
     create_database,
     referenced_blobs,
+    registrations,
 )
 from prtbake_storage.records.clock import UtcDateTime
 from prtbake_storage.records.database import normalise_url
@@ -123,12 +127,20 @@ def test_uploads_belong_to_projects(database: Database) -> None:
 RESOURCE = "mesh-0123456789abcdef"
 
 
-def register(database: Database) -> None:
-    Resources(database).create(RESOURCE, "mesh", {"blob": digest_of(b"m")}, label="bunny")
-    context = {"resource_id": RESOURCE}
-    Jobs(database).create(
-        NewJob(id="r", kind="register", request={}, context=context, internal=True, quick=True)
+def parser(resource_id: str = RESOURCE) -> NewJob:
+    context = {"resource_id": resource_id}
+    return NewJob(id="r", kind="register", request={}, context=context, internal=True, quick=True)
+
+
+def begin(database: Database, **options: bool) -> Begun:
+    request = {"blob": digest_of(b"m")}
+    return Registrations(database).begin(
+        RESOURCE, "mesh", request, parser(), label="bunny", **options
     )
+
+
+def register(database: Database) -> None:
+    begin(database)
     Runs(database).start("r")
 
 
@@ -149,8 +161,12 @@ def test_a_registration_that_fails_says_why_in_its_resource(database: Database) 
     assert Runs(database).close("r", Stop(JobState.failed, error))
     resource = Resources(database).get(RESOURCE)
     assert (resource.state, resource.problem) == ("refused", error.model_dump())
-    Resources(database).parse_again(RESOURCE)
-    assert Resources(database).get(RESOURCE).problem is None
+    # once more: the parser may have learned since
+    begun = begin(database)
+    assert begun.job is not None
+    assert begun.job.id.startswith("r-")
+    assert (begun.resource.state, begun.resource.problem) == ("parsing", None)
+    assert Jobs(database).get(begun.job.id).state == "queued"
 
 
 def test_a_registration_cut_short_is_not_parsing_for_ever(database: Database) -> None:
@@ -162,16 +178,75 @@ def test_a_registration_cut_short_is_not_parsing_for_ever(database: Database) ->
     assert resource.problem["code"] == "expired"
 
 
-def test_a_resource_is_created_once(database: Database) -> None:
-    resources = Resources(database)
-    made, is_new = resources.create(RESOURCE, "mesh", {"blob": digest_of(b"m")})
-    again, is_newer = resources.create(RESOURCE, "mesh", {"blob": digest_of(b"m")})
-    assert (is_new, is_newer) == (True, False)
-    assert made == again
-    assert [item.id for item in resources.page(kind="mesh").items] == [RESOURCE]
-    assert resources.page(kind="brdf").items == []
+@pytest.mark.parametrize("started", [False, True])
+def test_cancelling_a_registration_settles_its_resource(database: Database, started: bool) -> None:
+    begin(database)
+    if started:
+        Runs(database).start("r")
+    Jobs(database).request_cancel("r")
+    if started:
+        assert Resources(database).get(RESOURCE).state == "parsing"
+        Runs(database).close("r", Stop(JobState.canceled))
+    resource = Resources(database).get(RESOURCE)
+    assert (resource.state, (resource.problem or {})["code"]) == ("refused", "canceled")
+
+
+def test_a_resource_is_never_without_its_job(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both or none are written: a resource alone would be parsing for ever."""
+
+    def die(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(registrations, "insert_job", die)
+        with pytest.raises(KeyboardInterrupt):
+            begin(database)
     with pytest.raises(NotFound):
-        resources.get(RESOURCE, project="other")
+        Resources(database).get(RESOURCE)
+    # and one that an earlier version left alone is taken up
+    begin(database)
+    with database.write() as session:
+        session.execute(sa.delete(JobRow))
+    assert begin(database).job is not None
+
+
+def test_a_resource_is_registered_once(database: Database) -> None:
+    made, again = begin(database), begin(database)
+    assert (made.is_new, again.is_new) == (True, False)
+    assert made.resource == again.resource
+    assert made.job is not None
+    assert again.job is None  # the first one's job is under way
+    result = {"canonical": digest_of(b"canonical")}
+    Runs(database).start("r")
+    Runs(database).succeed("r", result=result, artefacts=[], progress=Progress())
+    ready = begin(database)
+    assert (ready.resource.state, ready.job) == ("ready", None)
+    assert begin(database, again=True).resource.state == "parsing"
+    assert [item.id for item in Resources(database).page(kind="mesh").items] == [RESOURCE]
+    assert Resources(database).page(kind="brdf").items == []
+    with pytest.raises(NotFound):
+        Resources(database).get(RESOURCE, project="other")
+
+
+def test_many_registrations_at_once_make_one_job(database: Database) -> None:
+    n_threads = 6
+    start = threading.Barrier(n_threads)
+    begun: list[Begun] = []
+
+    def run() -> None:
+        start.wait()
+        begun.append(begin(database))
+
+    threads = [threading.Thread(target=run) for _ in range(n_threads)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [one.is_new for one in begun].count(True) == 1
+    assert len([one for one in begun if one.job is not None]) == 1
+    assert len(begun) == n_threads
 
 
 def test_keys_open_their_project_until_revoked(database: Database) -> None:
@@ -210,8 +285,10 @@ def test_blobs_in_use_are_known(database: Database) -> None:
         name: digest_of(name.encode()) for name in ("up", "res", "canon", "art", "given", "old")
     }
     Uploads(database).add(names["up"], 1)
-    Resources(database).create(RESOURCE, "mesh", {"blob": names["res"]})
-    Resources(database).ready(RESOURCE, canonical=names["canon"], understood={})
+    Registrations(database).begin(RESOURCE, "mesh", {"blob": names["res"]}, parser())
+    Runs(database).start("r")
+    canonical = {"canonical": names["canon"], "understood": {}}
+    assert Runs(database).succeed("r", result=canonical, artefacts=[], progress=Progress())
     jobs, runs = Jobs(database), Runs(database)
     jobs.create(NewJob(id="open", kind="bake", request={}, context={"mesh": names["given"]}))
     jobs.create(NewJob(id="done", kind="bake", request={"texture": names["old"]}))

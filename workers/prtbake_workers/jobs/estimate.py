@@ -1,12 +1,36 @@
 """Quick job ``estimate``: validate and plan a request without running it."""
 
+from dataclasses import asdict
 from typing import Any
 
-from prtbake_storage.contract.jobs import AssetRequest, BakeRequest, Estimate, job_request_adapter
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.contract.jobs import (
+    AssetRequest,
+    BakeRequest,
+    CompressRequest,
+    Estimate,
+    FitLightRequest,
+    RenderRequest,
+    ValidateRequest,
+    job_request_adapter,
+)
+from prtbake_storage.contract.settings import BakeSettings, CompressSettings, ValidateSettings
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.resources import read_light
+from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs.bake import plan_scene
-from prtbake_workers.planning.presets import StageSettings, resolve_stages
+from prtbake_workers.jobs.inputs import load_environment
+from prtbake_workers.jobs.validate import check_kinship
+from prtbake_workers.planning.cost import (
+    compress_memory_bytes,
+    compress_seconds,
+    fit_seconds,
+    part_cost,
+    validate_seconds,
+)
+from prtbake_workers.planning.presets import StageSettings, resolve_compression, resolve_stages
 
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
@@ -37,32 +61,46 @@ def finish(results: Results) -> Finished:
 
 
 def estimate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: predict seconds, bytes, memory and the errors that are known before the first ray."""
+    """Task: check what the request refers to, and predict what the job would cost."""
     request = job_request_adapter.validate_python(args["request"])
-    given = args["context"]
-    if not isinstance(request, AssetRequest | BakeRequest):
-        return Estimate(
-            plan={"kind": request.kind},
-            seconds={},
-            total_seconds=0.0,
-            artefact_bytes={},
-            peak_memory_bytes=0,
-            errors={},
-            warnings=["only bake and asset jobs are predicted; the request itself is valid"],
-        ).model_dump(mode="json")
+    store, given = context.store, args["context"]
+    match request:
+        case AssetRequest() | BakeRequest():
+            predicted = _scene(request, args["request"], given, store)
+        case CompressRequest():
+            predicted = _compress(request.settings, given["artefacts"], store)
+        case FitLightRequest():
+            load_environment(store, given["environment"]["canonical"])
+            predicted = _only("fit_light", fit_seconds(request.settings))
+        case RenderRequest():
+            for name, read in (("asset", read_asset), ("light", read_light)):
+                read(store.local_path(given["artefacts"][name]["digest"]))
+            predicted = _only("render", None)
+        case ValidateRequest():
+            predicted = _validate(request.settings, given, store)
+    return predicted.model_dump(mode="json")
+
+
+def _scene(
+    request: AssetRequest | BakeRequest,
+    body: dict[str, Any],
+    given: dict[str, Any],
+    store: BlobStore,
+) -> Estimate:
+    """Plan the scene: also gives the errors that are known before the first ray."""
     settings, quality = _settings(request)
     planned, plan = plan_scene(
         {
             "mesh": given["mesh"]["canonical"],
             "brdf": given["brdf"]["spec"],
             "albedo_texture": given.get("albedo_texture"),
-            "receiver": args["request"].get("receiver"),
-            "effects": args["request"].get("effects", {}),
+            "receiver": body.get("receiver"),
+            "effects": body.get("effects", {}),
             "settings": settings.to_dict(),
             "quality": quality,
             "seed": request.seed,
         },
-        context.store,
+        store,
     )
     stages = set(plan.seconds)
     if isinstance(request, BakeRequest):
@@ -81,7 +119,70 @@ def estimate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
         },
         warnings=list(plan.notes),
-    ).model_dump(mode="json")
+    )
+
+
+def _compress(settings: CompressSettings, artefacts: dict[str, Any], store: BlobStore) -> Estimate:
+    """Predict from the header of the transfer."""
+    with open_transfer(store.local_path(artefacts["transfer"]["digest"])) as transfer:
+        header = transfer.header
+    bake = BakeSettings.model_validate({"n_centres": len(header.centres)})
+    plan: dict[str, Any] = {"kind": "compress", "parts": []}
+    costs = []
+    for part in header.parts:
+        compression = resolve_compression(
+            settings,
+            "medium",
+            n_verts=part.n_vertices,
+            n_terms=part.n_terms,
+            n_coeffs=len(header.centres),
+        )
+        plan["parts"].append({"name": part.name, "compression": asdict(compression)})
+        costs.append(
+            part_cost(
+                bake,
+                compression,
+                n_verts=part.n_vertices,
+                n_terms=part.n_terms,
+                shadows=False,
+                iterations=settings.max_iterations,
+            )
+        )
+    seconds = compress_seconds(costs)
+    return Estimate(
+        plan=plan,
+        seconds={"compress": seconds},
+        total_seconds=seconds,
+        artefact_bytes={"asset.h5": sum(cost.asset_bytes for cost in costs)},
+        peak_memory_bytes=compress_memory_bytes(costs),
+        errors={},
+    )
+
+
+def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
+    """Check that the artefacts belong together, and predict from the header of the transfer."""
+    digests = {name: artefact["digest"] for name, artefact in given["artefacts"].items()}
+    check_kinship(digests | {"environment": given["environment"]["canonical"]}, store)
+    with open_transfer(store.local_path(digests["transfer"])) as transfer:
+        header = transfer.header
+    seconds = validate_seconds(
+        settings,
+        n_terms=max(part.n_terms for part in header.parts),
+        n_dirs=3 * header.provenance["bake"]["cube_resolution"] ** 2,
+    )
+    return _only("validate", seconds)
+
+
+def _only(kind: str, seconds: float | None) -> Estimate:
+    """Predict the seconds of a job of one stage, or nothing."""
+    return Estimate(
+        plan={"kind": kind},
+        seconds={} if seconds is None else {kind: seconds},
+        total_seconds=seconds,
+        artefact_bytes={},
+        peak_memory_bytes=None,
+        errors={},
+    )
 
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:

@@ -112,7 +112,7 @@ def _report(name: str, view: ValidatedView, store: BlobStore) -> dict[str, Any]:
 def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     """Load everything that a chain needs, from the artefacts alone."""
     path = store.local_path(args["transfer"])
-    _check_kinship(args, store)
+    check_kinship(args, store)
     with open_transfer(path) as transfer:
         header = transfer.header
     scene = scene_of(header)
@@ -140,7 +140,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     )
 
 
-def _check_kinship(args: dict[str, Any], store: BlobStore) -> None:
+def check_kinship(args: dict[str, Any], store: BlobStore) -> None:
     """Refuse artefacts that do not belong together: their budget would look right and be wrong."""
     for name in ("asset", "exact") if "exact" in args else ("asset",):
         source = read_asset(store.local_path(args[name])).provenance.get("transfer")

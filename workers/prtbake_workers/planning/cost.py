@@ -4,6 +4,7 @@ The rates are order-of-magnitude figures measured once on two shared cores; the 
 job gives what its stages really took, so a reader can see how far the model was off.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from prtbake_storage.contract.settings import BakeSettings, FitLightSettings, ValidateSettings
@@ -87,6 +88,16 @@ def part_cost(
         asset_bytes=2 * floats,
         compress_memory_bytes=memory,
     )
+
+
+def compress_seconds(costs: Sequence[PartCost]) -> float:
+    """Predict the seconds of compressing all parts and writing the asset."""
+    return CHILD_START_S * 2 + sum(cost.compress_seconds for cost in costs)
+
+
+def compress_memory_bytes(costs: Sequence[PartCost]) -> int:
+    """Predict the peak memory of compressing the largest part, the interpreter included."""
+    return max(cost.compress_memory_bytes for cost in costs) + 250_000_000
 
 
 def fit_seconds(settings: FitLightSettings) -> float:

@@ -9,6 +9,8 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     PartCost,
+    compress_memory_bytes,
+    compress_seconds,
     fit_seconds,
     part_cost,
     tile_vertices,
@@ -112,7 +114,7 @@ def make_plan(
     seconds = {
         "plan": CHILD_START_S + 2.0,
         "bake": (tiles * CHILD_START_S + sum(part.cost.bake_seconds for part in parts)) / 2,
-        "compress": CHILD_START_S * 2 + sum(part.cost.compress_seconds for part in parts),
+        "compress": compress_seconds([part.cost for part in parts]),
         "fit_light": fit_seconds(settings.fit_light),
         "render": 5.0,
         "validate": validate_seconds(
@@ -129,6 +131,6 @@ def make_plan(
             "transfer.h5": sum(part.cost.transfer_bytes for part in parts),
             "asset.h5": sum(part.cost.asset_bytes for part in parts),
         },
-        peak_memory_bytes=max(part.cost.compress_memory_bytes for part in parts) + 250_000_000,
+        peak_memory_bytes=compress_memory_bytes([part.cost for part in parts]),
         notes=tuple(notes),
     )

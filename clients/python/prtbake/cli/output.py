@@ -95,17 +95,21 @@ def print_estimate(estimate: Estimate, output: Output) -> None:
         print_json(estimate)
         return
     out = console()
-    out.print(
-        f"about [bold]{human_seconds(estimate.total_seconds)}[/],"
-        f" {human_bytes(sum(estimate.artefact_bytes.values()))} of artefacts,"
-        f" {human_bytes(estimate.peak_memory_bytes)} of memory at the peak"
-    )
+    parts = []
+    if estimate.total_seconds is not None:
+        parts.append(f"about [bold]{human_seconds(estimate.total_seconds)}[/]")
+    if estimate.artefact_bytes:
+        parts.append(f"{human_bytes(sum(estimate.artefact_bytes.values()))} of artefacts")
+    if estimate.peak_memory_bytes is not None:
+        parts.append(f"{human_bytes(estimate.peak_memory_bytes)} of memory at the peak")
+    out.print(", ".join(parts) or "its inputs fit; what it costs is not predicted")
     table = Table(box=None, pad_edge=False)
     table.add_column("stage")
     table.add_column("seconds", justify="right")
     for stage, seconds in estimate.seconds.items():
         table.add_row(stage, f"{seconds:.1f}")
-    out.print(table)
+    if table.row_count:
+        out.print(table)
     for name, error in estimate.errors.items():
         out.print(f"  expected error, {escape(name)}: {error:.3%}")
     for warning in estimate.warnings:
