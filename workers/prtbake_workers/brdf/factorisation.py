@@ -89,6 +89,12 @@ class Factorisation:
         """Cosines of the rings that the radial functions are given at."""
         return self.grid.cosines
 
+    @property
+    def albedo(self) -> Float32[F32, " channels"]:
+        """What multiplies every colour of a part: phi where it is a constant, else one."""
+        constant = self.phi_radial[0, 0] if self.is_constant_phi else np.ones(1)
+        return constant.astype(np.float32)
+
     @cached_property
     def unit_of_term(self) -> Int32[I32, " terms"]:
         """Which radial function each term uses; the two of a pair share one."""

@@ -22,7 +22,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
 from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.jobs.inputs import albedo_of, load_brdf, load_mesh, load_texture, versions
+from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
 from prtbake_workers.jobs.scene_file import PlannedScene, read_scene, write_scene
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.plan import Plan, make_plan
@@ -281,7 +281,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 material=part["material"],
                 areas=scene.areas[start:stop],
                 n_terms=factorisation.n_terms,
-                albedo=albedo_of(part["material"]),
+                albedo=factorisation.albedo,
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
                 albedo_texture=planned.albedo_texture if index == 0 else None,
                 factorisation=factorisation.tables(),
