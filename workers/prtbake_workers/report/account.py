@@ -76,7 +76,8 @@ def pooled_budget(views: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
                     "total_noise",
                     "total_below_noise",
                     "reference_noise",
-                    "squared_reference",
+                    "squared_norm",
+                    "black_reference",
                 )
             },
         )
@@ -113,7 +114,10 @@ def make_report(
             else ""
         )
         summary += (
-            f" Over {shown} pictures{unseen} the delivered asset is "
+            f" Over {shown} pictures{unseen} the reference is black or lost in its noise: there is "
+            "no relative error of the delivered asset."
+            if budget["black_reference"]
+            else f" Over {shown} pictures{unseen} the delivered asset is "
             f"{100 * budget['total']:.2g} % from the reference (relative L2){noisy}."
         )
     return {
