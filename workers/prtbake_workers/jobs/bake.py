@@ -29,6 +29,7 @@ from prtbake_workers.planning.plan import Plan, make_plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.held_out import held_out_energies
 from prtbake_workers.transport.quantise import quantise_transfer
 
 _MODULE = "prtbake_workers.jobs.bake"
@@ -215,17 +216,29 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     bake = planned.header["bake"]
     directions = cube_directions(bake["cube_resolution"])
     occluders = planned.occluders(args["part"])
+    factorisation, basis = planned.factorisations[args["part"]], planned.basis()
+    projection = basis.projection(directions.directions, directions.weights)
+    span = args["start"], args["stop"]
     block = bake_block(
         planned.scene,
         occluders,
-        (args["start"], args["stop"]),
-        factorisation=planned.factorisations[args["part"]],
-        projection=planned.basis().projection(directions.directions, directions.weights),
+        span,
+        factorisation=factorisation,
+        projection=projection,
         directions=directions,
         supersample=bake["supersample"],
         shadows=occluders is not None,
         threads=bake["threads"],
         progress=lambda done, total: context.progress(done, total, "vertices"),
+    )
+    held_out = held_out_energies(
+        planned.scene,
+        occluders,
+        span,
+        block.coefficients,
+        factorisation=factorisation,
+        basis=basis,
+        seed=args["start"],
     )
     packed = quantise_transfer(block.coefficients)
     path = context.scratch / "tile.h5"
@@ -243,6 +256,9 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "signal": float(areas @ block.signal_energy),
         "residual": float(areas @ block.residual_energy),
         "rounding": float(areas @ packed.squared_error),
+        "held_out_signal": held_out[0],
+        "held_out_residual": held_out[1],
+        "gram_defect": projection.gram_defect,
         "counters": block.counters() | _self_hits(planned, occluders, args["start"], args["stop"]),
         "epsilon": block.epsilon,
     }
