@@ -168,3 +168,18 @@ def test_what_cannot_be_baked_is_refused_before_the_first_ray(store, changes, po
     with pytest.raises(SettingsError) as caught:
         run_stages(stages[:1], store)
     assert caught.value.pointer == pointer
+
+
+def test_view_dependence_forced_off_bakes_one_term_and_says_what_that_costs(store):
+    request = asset_request(receiver=None, effects={"view_dependence": "off"})
+    results = run_until(store, request, teapot_context(store, request), "quantise")
+    planned = results["plan"][0]
+    (decision,) = (e for e in planned["plan"]["effects"] if e["effect"] == "view_dependence")
+    assert (decision["taken"], decision["forced"]) == (False, True)
+    # the first of the published spectrum's figures, for Cook-Torrance m 0.5
+    assert decision["predicted_error_otherwise"] == pytest.approx(0.051, abs=5e-4)
+    assert planned["errors"]["object"] == pytest.approx(decision["predicted_error_otherwise"])
+    with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
+        assert transfer.header.parts[0].n_terms == 1
+    asset = read_asset(store.local_path(results["quantise"][0]["asset"]))
+    assert asset.parts[0].view_texture.shape[2] == 1

@@ -115,11 +115,13 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         _check_texture(specs[0], mesh.uv is not None)
         texture = load_texture(store, args["albedo_texture"])
     scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
+    requested = Effects.model_validate(args["effects"])
+    n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
     factorisations = tuple(
         factorise(
             load_brdf(spec),
-            n_terms=settings.bake.n_terms,
-            energy_lost=settings.bake.term_energy_lost if settings.bake.n_terms is None else None,
+            n_terms=n_terms,
+            energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
         )
         for spec in specs
     )
@@ -130,7 +132,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         Accelerator(scene.positions, scene.faces),
         factorisations=factorisations,
         watertight=bool(report.get("watertight", False)),
-        requested=Effects.model_validate(args["effects"]),
+        requested=requested,
         seed=args["seed"],
     )
     notes = [factorisation.note for factorisation in factorisations if factorisation.note]
