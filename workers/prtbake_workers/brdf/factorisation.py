@@ -44,7 +44,8 @@ class Factorisation:
     singular_values
         All of the weighted matrix, falling, pairs twice; in units of the continuous norm.
     energy_lost
-        Share of the squared norm (weight cos_i^2 cos_o^2) outside the terms kept, on the grid.
+        Share of the squared norm (weight cos_i^2 cos_o^2) outside the terms kept: on the grid, or,
+        where that does not resolve the lobe, measured on a finer one.
     requested_terms
         What was asked for, where a number was.
     note
