@@ -52,6 +52,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
         "numerics": _numerics(results),
+        "light_notes": results["fit_light"][0]["notes"] if "fit_light" in results else [],
         "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
         "sizes": {
             f"{name}.h5": results[stage][0]["bytes"]
@@ -104,6 +105,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     notes = list(plan["notes"])
     for part in args["compressed"]:
         notes += part["notes"]
+    notes += args["light_notes"]
     if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
         notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
     report = make_report(
