@@ -10,6 +10,7 @@ from prtbake_storage.contract.brdf import (
     LambertSpec,
     PhongSpec,
 )
+from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.base import COSINE_FLOOR
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
 from prtbake_workers.brdf.factorise import factorise
@@ -31,6 +32,7 @@ EXTREMES = {
     "ggx_smooth": GgxSpec(alpha=0.01, f0=1.0),
     "ggx_rough": GgxSpec(alpha=1.0, f0=1.0),
 }
+TOO_NARROW = "cook_torrance_smooth"
 TINY = [1e-300, 1e-30, 1e-12, COSINE_FLOOR, 1e-4, 1e-2]
 
 
@@ -106,8 +108,14 @@ def test_extremes_are_reciprocal_and_create_no_light(brdf):
     assert np.isfinite(report.max_albedo)
 
 
-def test_extremes_factorise(brdf):
-    found = factorise(brdf, n_terms=16, n_nodes=33)
+def test_the_narrowest_lobe_is_refused_where_its_terms_are_worse_than_none():
+    with pytest.raises(BrdfError, match="too narrow"):
+        factorise(brdf_from_spec(EXTREMES[TOO_NARROW]), n_terms=16, n_nodes=33)
+
+
+@pytest.mark.parametrize("name", [name for name in EXTREMES if name != TOO_NARROW])
+def test_extremes_factorise(name):
+    found = factorise(brdf_from_spec(EXTREMES[name]), n_terms=16, n_nodes=33)
     w = np.concatenate([at(TINY), at([0.0, -0.5, 0.5, 1.0], 1.0), at(TINY, 3.0)])
     for side in (found.eval_psi, found.eval_phi, found.eval_psi_exact, found.eval_phi_exact):
         value = side(w)

@@ -154,6 +154,13 @@ def test_fewer_directions_than_centres_give_the_fit_of_least_energy(rng):
     assert np.sum(missed**2 @ cube.weights) < 1e-5 * np.sum(samples**2 @ cube.weights)
     assert np.sum(fit**2) < 1.2 * np.sum(samples**2 @ cube.weights)
     assert projection.gram_defect > 0.5
+    # the small residual is no success: in other directions the fit is far off
+    lobes = np.random.default_rng(5)
+    fine = cube_directions(24)
+    truth = cosine_lobes(fine.directions, lobes, 2)
+    coarse = cosine_lobes(cube.directions, np.random.default_rng(5), 2)
+    off = truth - coarse @ projection.matrix @ basis.reconstruction_matrix(fine.directions).T
+    assert np.sum(off**2 @ fine.weights) > 0.05 * np.sum(truth**2 @ fine.weights)
 
 
 def test_equal_and_antipodal_centres_of_a_narrow_pair():

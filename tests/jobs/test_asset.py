@@ -10,9 +10,10 @@ from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import CorruptArtefact, InputError, SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_workers.jobs import report
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stages
-from support.scenes import asset_request, run_asset, teapot_context
+from support.scenes import asset_request, run_asset, run_until, teapot_context
 
 
 def finished(glossy_asset):
@@ -38,6 +39,29 @@ def test_the_result_says_error_and_cost_of_every_stage(glossy_asset):
     assert result["seconds"]["total"] > 0
     assert result["bytes"]["asset.h5"] < result["bytes"]["transfer.h5"]
     assert {effect["effect"] for effect in result["effects"]} >= {"self_shadowing"}
+
+
+def test_the_projection_error_holds_between_the_directions_too(glossy_asset):
+    """12 x 12 texels a face resolve 162 SRBFs: in other directions the error is little larger."""
+    bake = finished(glossy_asset).result["errors"]["bake"]
+    for part in ("object", "receiver"):
+        # larger for shadows finer than a texel; 1.5 was measured on the object
+        assert 0.8 < bake[f"{part} in other directions"] / bake[part] < 2.0
+    assert finished(glossy_asset).result["numerics"]["gram_defect_of_directions"] < 0.01
+
+
+def test_directions_that_do_not_resolve_the_basis_are_not_reported_as_exact(store):
+    """96 directions for 162 SRBFs: the fit passes through its samples, and the report says so."""
+    request = asset_request(receiver=None, settings={"bake": {"cube_resolution": 4}})
+    results = run_until(store, request, teapot_context(store, request), "join")
+    gathered = report.gather("", results)
+    (bake,) = (stage for stage in gathered["stages"] if stage["name"] == "bake")
+    assert bake["errors"]["object"] < 1e-6
+    assert bake["errors"]["object in other directions"] > 0.05
+    assert gathered["numerics"]["gram_defect_of_directions"] > 0.5
+    assert any(
+        "96 directions do not resolve 162 SRBFs" in note for note in gathered["plan"]["notes"]
+    )
 
 
 def test_the_stated_compression_error_is_that_of_the_files(glossy_asset, store):
@@ -90,8 +114,8 @@ def test_the_page_holds_its_pictures_and_loads_nothing(glossy_asset, store):
     assert page.count("data:image/png;base64,") == 3
     assert "http://" not in page
     assert "https://" not in page
-    report = json.loads(store.read_bytes(files["report.json"]))
-    assert report["budget"]["total"] <= report["budget"]["sum_of_lines"]
+    written = json.loads(store.read_bytes(files["report.json"]))
+    assert written["budget"]["total"] <= written["budget"]["sum_of_lines"]
 
 
 def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
@@ -212,3 +236,18 @@ def test_what_cannot_be_baked_is_refused_before_the_first_ray(store, changes, po
     with pytest.raises(SettingsError) as caught:
         run_stages(stages[:1], store)
     assert caught.value.pointer == pointer
+
+
+def test_view_dependence_forced_off_bakes_one_term_and_says_what_that_costs(store):
+    request = asset_request(receiver=None, effects={"view_dependence": "off"})
+    results = run_until(store, request, teapot_context(store, request), "quantise")
+    planned = results["plan"][0]
+    (decision,) = (e for e in planned["plan"]["effects"] if e["effect"] == "view_dependence")
+    assert (decision["taken"], decision["forced"]) == (False, True)
+    # the first of the published spectrum's figures, for Cook-Torrance m 0.5
+    assert decision["predicted_error_otherwise"] == pytest.approx(0.051, abs=5e-4)
+    assert planned["errors"]["object"] == pytest.approx(decision["predicted_error_otherwise"])
+    with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
+        assert transfer.header.parts[0].n_terms == 1
+    asset = read_asset(store.local_path(results["quantise"][0]["asset"]))
+    assert asset.parts[0].view_texture.shape[2] == 1

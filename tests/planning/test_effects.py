@@ -8,6 +8,7 @@ import trimesh
 
 from prtbake_storage.contract.settings import Effects
 from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
@@ -199,6 +200,32 @@ def test_glossy_parts_need_frames_and_view_dependence():
     by_name, _, _ = decisions([sphere_mesh(2)], watertight=True, factorisation=GLOSSY)
     assert by_name["view_dependence"].taken
     assert by_name["tangent_frames"].taken
+
+
+def test_one_term_costs_the_energy_outside_the_first_unit():
+    """Against the quadrature of a true one-term sum on another grid; the grids differ by 1 %."""
+    single = factorise(GLOSSY.brdf, n_terms=1)
+    expected = check_factorisation(GLOSSY.brdf, single).relative_error
+    for switch, factorisation in (("auto", GLOSSY), ("on", GLOSSY), ("off", single)):
+        by_name, _, _ = decisions(
+            [sphere_mesh(2)], watertight=True, factorisation=factorisation,
+            requested=Effects(view_dependence=switch),
+        )  # fmt: skip
+        decision = by_name["view_dependence"]
+        assert (decision.taken, decision.forced) == (switch != "off", switch != "auto")
+        assert decision.predicted_error_otherwise == pytest.approx(expected, rel=0.02)
+    # negative twin: what the kept terms lose is another figure
+    assert pytest.approx(expected, rel=0.02) != GLOSSY.energy_lost
+
+
+def test_view_dependence_forced_on_has_nothing_to_take_of_a_lambertian():
+    by_name, _, _ = decisions(
+        [sphere_mesh(2)], watertight=True, requested=Effects(view_dependence="on")
+    )
+    decision = by_name["view_dependence"]
+    assert (decision.taken, decision.forced) == (False, True)
+    assert "nothing to take" in decision.reason
+    assert decision.predicted_error_otherwise == 0.0
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])

@@ -2,11 +2,14 @@ import pytest
 
 from prtbake_storage.contract.settings import AssetSettings
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.effects import Decision
 from prtbake_workers.planning.plan import make_plan
-from prtbake_workers.planning.presets import resolve_stages
+from prtbake_workers.planning.presets import LADDER, resolve_stages
+from prtbake_workers.transport.directions import cube_directions
 
 CHUNK = 32
 
@@ -44,3 +47,25 @@ def test_predictions_grow_with_what_they_predict():
     assert high.parts[0].cost.bake_seconds > low.parts[0].cost.bake_seconds
     assert high.artefact_bytes["transfer.h5"] > low.artefact_bytes["transfer.h5"]
     assert high.peak_memory_bytes > low.peak_memory_bytes
+
+
+@pytest.mark.parametrize("n_centres", [42, 162, 642])
+def test_too_few_directions_for_the_basis_are_noted(n_centres):
+    """Against the Gram matrix itself: 0.05 off the identity is where the note begins."""
+    basis = SrbfBasis(icosphere({42: 1, 162: 2, 642: 3}[n_centres]))
+    noted, defects = {}, {}
+    for resolution in (3, 4, 5, 6, 8, 9, 10, 12, 15, 18, 24):
+        cube = cube_directions(resolution)
+        bake = {"n_centres": n_centres, "cube_resolution": resolution}
+        _, plan = plan_of(resolve_stages("medium", AssetSettings(bake=bake)), 1)
+        noted[resolution] = any("do not resolve" in note for note in plan.notes)
+        defects[resolution] = basis.projection(cube.directions, cube.weights).gram_defect
+    # a factor of two either way: the rule counts directions, the matrix weighs them
+    assert all(noted[n] for n, defect in defects.items() if defect > 0.1)
+    assert not any(noted[n] for n, defect in defects.items() if defect < 0.025)
+    assert set(noted.values()) == {True, False}
+
+
+@pytest.mark.parametrize("quality", LADDER)
+def test_every_quality_resolves_its_basis(quality):
+    assert plan_of(resolve_stages(quality, AssetSettings()), 1)[1].notes == ()

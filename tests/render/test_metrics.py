@@ -1,5 +1,7 @@
 """Metrics against closed forms."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_only_the_mask_counts(reference: np.ndarray) -> None:
     found = compare(test, reference, mask, 1.0).to_dict()
     assert found == {
         "relative_l2": 0.0, "rel_mse": 0.0, "psnr_db": None, "flip": 0.0, "max_abs": 0.0,
-        "pixels": 240,
+        "pixels": 240, "black_reference": False,
     }  # fmt: skip
     assert relative_l2(test, reference, ALL) > 1.0
 
@@ -58,6 +60,14 @@ def test_black_pictures_have_figures_too(reference: np.ndarray) -> None:
     same = compare(black, black, ALL, 1.0)
     assert (same.relative_l2, same.rel_mse, same.flip, same.psnr_db) == (0.0, 0.0, 0.0, None)
     wrong = compare(reference, black, ALL, 1.0)
-    assert (wrong.relative_l2, wrong.rel_mse, wrong.flip) == (float("inf"), float("inf"), 1.0)
+    assert (wrong.relative_l2, wrong.rel_mse, wrong.flip) == (None, None, 1.0)
+    assert (same.black_reference, wrong.black_reference) == (True, True)
+    assert wrong.max_abs == pytest.approx(float(reference.max()), rel=1e-6)
+    json.dumps(wrong.to_dict(), allow_nan=False)
+    # one texel that is not black is something to be relative to
+    speck = black.copy()
+    speck[3, 4, 1] = 1e-3
+    assert compare(reference, speck, ALL, 1.0).relative_l2 is not None
     nothing = compare(reference, black, ~ALL, 1.0)
     assert (nothing.relative_l2, nothing.flip, nothing.pixels) == (0.0, 0.0, 0)
+    assert not nothing.black_reference

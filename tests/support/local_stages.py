@@ -23,7 +23,8 @@ def run_stages(stages: list[Stage], store: BlobStore) -> Results:
             with store.scratch() as scratch:
                 context = TaskContext(store, scratch, lambda _: None)
                 value = function(json.loads(json.dumps(task.args)), context)
-            values.append(json.loads(json.dumps(value)))
+            # as a worker's child sends it: NaN and infinity are no JSON
+            values.append(json.loads(json.dumps(value, allow_nan=False)))
             measured.append(Measured(time.perf_counter() - began, 1))
         results.add(stage.name, values, measured)
     return results

@@ -73,6 +73,31 @@ def test_a_black_scene_has_no_error(truth):
     assert pool_budgets([budget, budget]).total == 0.0
 
 
+def test_a_black_reference_is_said(truth):
+    """Nothing to be relative to: lines are relative to the brightest picture, and it is flagged."""
+    black = ChainPicture("reference", np.zeros((1, HITS, 3)))
+    budget = make_budget(
+        [black, ChainPicture("a", truth[None]), ChainPicture("b", truth[None] / 2)]
+    )
+    assert budget.black_reference
+    assert [line.error for line in budget.lines] == pytest.approx([1.0, 0.5], rel=1e-12)
+    assert budget.total == pytest.approx(0.5, rel=1e-12)
+    lit = make_budget([ChainPicture("reference", truth[None]), ChainPicture("a", truth[None])])
+    assert not lit.black_reference
+
+
+def test_a_picture_with_a_black_reference_adds_its_difference_and_no_norm(truth):
+    black, lit = np.zeros_like(truth), 3.0 * truth
+    dark = make_budget([ChainPicture("r", black[None]), ChainPicture("x", truth[None])])
+    seen = make_budget([ChainPicture("r", lit[None]), ChainPicture("x", 1.1 * lit[None])])
+    pooled = pool_budgets([dark, seen])
+    together = np.concatenate([black, lit]), np.concatenate([truth, 1.1 * lit])
+    expected = np.linalg.norm(together[1] - together[0]) / np.linalg.norm(together[0])
+    assert not pooled.black_reference
+    assert pooled.total == pytest.approx(expected, rel=1e-12)
+    assert pool_budgets([dark, dark]).black_reference
+
+
 def test_pooling_is_the_norm_over_all_pixels(rng, truth):
     steps = [0.01 * rng.standard_normal(truth.shape), 0.05 * rng.standard_normal(truth.shape)]
     bright = 10.0 * truth

@@ -12,7 +12,11 @@ CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
 
 
 class Effects(Wire):
-    """Which effects to simulate; ``auto`` lets planning decide."""
+    """Which effects to simulate; ``auto`` lets planning decide.
+
+    ``view_dependence`` off bakes one term a part, whatever ``n_terms`` asks for: the view then
+    scales what a point reflects and chooses nothing of it.
+    """
 
     self_shadowing: Switch = "auto"
     receiver_shadows: Switch = "auto"

@@ -10,7 +10,7 @@ from prtbake_workers.environment.environment import (
     lat_long_solid_angles,
 )
 from prtbake_workers.environment.fit import fit_environment, fit_scattered_srbf
-from prtbake_workers.environment.fit.cells import Cells
+from prtbake_workers.environment.fit.cells import Cells, environment_texels
 from prtbake_workers.environment.fit.objective import Lobes, evaluate_lobes
 from prtbake_workers.environment.fit.refine import narrowest_bandwidths
 from prtbake_workers.environment.procedural import constant, one_texel_sun
@@ -52,6 +52,28 @@ def test_the_reported_error_notices_a_changed_coefficient() -> None:
     fit = fit_scattered_srbf(*light, 6, seed=1, max_iterations=3)
     worse = fit._replace(coefficients=fit.coefficients * 1.05)
     assert relative_error(worse, *light) > 1.5 * fit.error
+
+
+@pytest.mark.parametrize(("height", "n_lobes"), [(1, 3), (1, 162), (2, 162), (8, 500)])
+@pytest.mark.parametrize("lit", ["random", "even", "lamp"])
+def test_a_map_of_a_few_texels_takes_no_more_lobes_than_it_has_room_for(
+    rng, height, n_lobes, lit
+) -> None:
+    """Lobes that coincide, each half as wide as the one before, made the Gram matrix singular."""
+    radiance = {
+        "random": rng.random((height, 2 * height, 3)),
+        "even": np.ones((height, 2 * height, 3)),
+        "lamp": np.full((height, 2 * height, 3), 1e-3),
+    }[lit]
+    if lit == "lamp":
+        radiance[0, 0] = 1e3
+    environment = Environment(radiance.astype(np.float32))
+    fit = fit_environment(environment, n_lobes, seed=0, max_iterations=1)
+    room = len(environment_texels(environment).solid_angles)
+    assert 0 < len(fit.centres) <= min(n_lobes, room)
+    assert np.isfinite(fit.coefficients).all()
+    # as many lobes as texels: what is left is the ridge's and, beside a lamp, the regions'
+    assert fit.error < (0.1 if lit == "lamp" else 0.02)
 
 
 def test_more_lobes_fit_better(rng) -> None:

@@ -44,7 +44,8 @@ class Factorisation:
     singular_values
         All of the weighted matrix, falling, pairs twice; in units of the continuous norm.
     energy_lost
-        Share of the squared norm (weight cos_i^2 cos_o^2) outside the terms kept, on the grid.
+        Share of the squared norm (weight cos_i^2 cos_o^2) outside the terms kept: on the grid, or,
+        where that does not resolve the lobe, measured on a finer one.
     requested_terms
         What was asked for, where a number was.
     note
@@ -88,6 +89,12 @@ class Factorisation:
     def cosines(self) -> Float64[F64, " theta"]:
         """Cosines of the rings that the radial functions are given at."""
         return self.grid.cosines
+
+    @property
+    def albedo(self) -> Float32[F32, " channels"]:
+        """What multiplies every colour of a part: phi where it is a constant, else one."""
+        constant = self.phi_radial[0, 0] if self.is_constant_phi else np.ones(1)
+        return constant.astype(np.float32)
 
     @cached_property
     def unit_of_term(self) -> Int32[I32, " terms"]:

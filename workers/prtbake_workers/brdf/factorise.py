@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.arrays import F32, F64, Float64
 from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
@@ -22,6 +23,9 @@ CONSTANT_TOLERANCE = 1e-12
 GRID_TOLERANCE = 0.1
 """Relative change of the squared norm on a finer grid above which the note warns; on 28 x 112 it is
 0.02 for Cook-Torrance m 0.2, 0.08 for Phong 200, 0.26 for m 0.1."""
+
+CHECK_GRID = (122, 480)
+"""Rings and azimuths on which such a lobe is measured: four digits at Cook-Torrance m 0.05."""
 
 
 def factorise(
@@ -51,8 +55,8 @@ def factorise(
         split pair would let the picture depend on the tangent frame: K is rounded down, and the
         note says so.
     energy_lost
-        The smallest K that leaves at most this share of the energy, in (0, 1).  ``n_terms``, if
-        given too, takes the place of ``max_terms``.
+        The smallest K that leaves at most this share of the energy on the grid, in (0, 1).
+        ``n_terms``, if given too, takes the place of ``max_terms``.
     n_theta, n_phi
         Rings and azimuths of the grid.
     max_terms
@@ -66,7 +70,7 @@ def factorise(
         No affordable K loses as little energy as asked; the message says what K leaves behind.
     BrdfError
         The BRDF gives a negative or non-finite value, or depends on more than the azimuths'
-        difference.
+        difference, or its lobe is so narrow that the sum misses more than the whole energy.
     """
     if n_terms is not None and n_terms < 1:
         raise SettingsError(f"n_terms must be at least 1, got {n_terms}")
@@ -94,7 +98,6 @@ def _factorise(
     left, values, right = _decompose(blocks, grid)
     spectrum = Spectrum.from_blocks(values)
     n_units, note = _choose_units(spectrum, n_terms, energy_lost, max_terms)
-    note = "; ".join(part for part in (note, _grid_note(brdf, grid)) if part) or None
     orders, index = spectrum.orders[:n_units], spectrum.index[:n_units]
     weight = grid.cosines * np.sqrt(grid.ring_weight)
     norm = np.sqrt(norm_of_order(orders))
@@ -121,7 +124,9 @@ def _factorise(
         is_constant_phi=False,
         brdf=brdf,
     )
-    return _with_tables(draft, n_nodes)
+    found = _with_tables(draft, n_nodes)
+    ratio = _norm_ratio(brdf, grid)
+    return found if abs(ratio - 1.0) <= GRID_TOLERANCE else _measured(found, brdf, ratio)
 
 
 def _check_isotropy(brdf: Brdf) -> None:
@@ -187,17 +192,29 @@ def _squared_norm(brdf: Brdf, grid: HemisphereGrid) -> float:
     return float(np.sum(energy / norm_of_order(orders)))
 
 
-def _grid_note(brdf: Brdf, grid: HemisphereGrid) -> str | None:
-    """Say so where a grid twice as fine sees another norm: the lobe falls between the nodes."""
-    ratio = _squared_norm(brdf, grid) / _squared_norm(
-        brdf, HemisphereGrid(2 * grid.n_theta, 2 * grid.n_phi)
+def _norm_ratio(brdf: Brdf, grid: HemisphereGrid) -> float:
+    """Squared norm over that on a grid twice as fine: far from 1 the lobe slips between nodes."""
+    fine = HemisphereGrid(2 * grid.n_theta, 2 * grid.n_phi)
+    return _squared_norm(brdf, grid) / _squared_norm(brdf, fine)
+
+
+def _measured(found: Factorisation, brdf: Brdf, ratio: float) -> Factorisation:
+    """State the energy lost off the grid, where the grid's own figure means little."""
+    n_theta, n_phi = CHECK_GRID
+    lost = check_factorisation(brdf, found, n_theta=n_theta, n_phi=n_phi).relative_error
+    grid = f"the grid of {found.grid.n_theta} x {found.grid.n_phi}"
+    if lost > 1.0:
+        raise BrdfError(
+            f"{found.n_terms} terms on {grid} miss {lost:.0%} of the BRDF's energy, more than none "
+            "at all would: its lobe is too narrow, widen it or ask for fewer terms",
+            pointer="/brdf",
+        )
+    note = (
+        f"{grid} does not resolve the lobe (squared norm {ratio:.2f} of that on a grid twice as "
+        f"fine): the terms lose {found.energy_lost:.1%} of the energy there, {lost:.1%} in truth"
     )
-    if abs(ratio - 1.0) <= GRID_TOLERANCE:
-        return None
-    return (
-        f"the grid of {grid.n_theta} x {grid.n_phi} does not resolve the lobe (squared norm "
-        f"{ratio:.2f} of that on a grid twice as fine): the energy lost is rough"
-    )
+    note = f"{found.note}; {note}" if found.note else note
+    return replace(found, energy_lost=lost, note=note)
 
 
 def _decompose(

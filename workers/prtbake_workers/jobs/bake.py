@@ -22,7 +22,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
 from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.jobs.inputs import albedo_of, load_brdf, load_mesh, load_texture, versions
+from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
     read_projection,
@@ -35,6 +35,7 @@ from prtbake_workers.planning.plan import Plan, make_plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.held_out import held_out_energies
 from prtbake_workers.transport.quantise import quantise_transfer
 
 _MODULE = "prtbake_workers.jobs.bake"
@@ -126,11 +127,13 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         _check_texture(specs[0], mesh.uv is not None)
         texture = load_texture(store, args["albedo_texture"])
     scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
+    requested = Effects.model_validate(args["effects"])
+    n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
     factorisations = tuple(
         factorise(
             load_brdf(spec),
-            n_terms=settings.bake.n_terms,
-            energy_lost=settings.bake.term_energy_lost if settings.bake.n_terms is None else None,
+            n_terms=n_terms,
+            energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
         )
         for spec in specs
     )
@@ -141,7 +144,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         Accelerator(scene.positions, scene.faces),
         factorisations=factorisations,
         watertight=bool(report.get("watertight", False)),
-        requested=Effects.model_validate(args["effects"]),
+        requested=requested,
         seed=args["seed"],
     )
     notes = [factorisation.note for factorisation in factorisations if factorisation.note]
@@ -234,17 +237,29 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     bake = planned.header["bake"]
     directions = cube_directions(bake["cube_resolution"])
     occluders = planned.occluders(args["part"])
+    factorisation = planned.factorisations[args["part"]]
+    projection = read_projection(context.store.local_path(args["projection"]))
+    span = args["start"], args["stop"]
     block = bake_block(
         planned.scene,
         occluders,
-        (args["start"], args["stop"]),
-        factorisation=planned.factorisations[args["part"]],
-        projection=read_projection(context.store.local_path(args["projection"])),
+        span,
+        factorisation=factorisation,
+        projection=projection,
         directions=directions,
         supersample=bake["supersample"],
         shadows=occluders is not None,
         threads=bake["threads"],
         progress=lambda done, total: context.progress(done, total, "vertices"),
+    )
+    held_out = held_out_energies(
+        planned.scene,
+        occluders,
+        span,
+        block.coefficients,
+        factorisation=factorisation,
+        basis=planned.basis(),
+        seed=args["start"],
     )
     packed = quantise_transfer(block.coefficients)
     path = context.scratch / "tile.h5"
@@ -262,6 +277,9 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "signal": float(areas @ block.signal_energy),
         "residual": float(areas @ block.residual_energy),
         "rounding": float(areas @ packed.squared_error),
+        "held_out_signal": held_out[0],
+        "held_out_residual": held_out[1],
+        "gram_defect": projection.gram_defect,
         "counters": block.counters() | _self_hits(planned, occluders, args["start"], args["stop"]),
         "epsilon": block.epsilon,
     }
@@ -301,7 +319,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 material=part["material"],
                 areas=scene.areas[start:stop],
                 n_terms=factorisation.n_terms,
-                albedo=albedo_of(part["material"]),
+                albedo=factorisation.albedo,
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
                 albedo_texture=planned.albedo_texture if index == 0 else None,
                 factorisation=factorisation.tables(),

@@ -7,6 +7,7 @@ from prtbake_storage.decode.asset import LightFit
 from prtbake_storage.hdf5.resources import write_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.fit import fit_environment
 from prtbake_workers.jobs.inputs import load_environment, versions
 
@@ -52,4 +53,12 @@ def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "peak_lobes": int(result.n_peak_lobes),
         "power_ratio": float(result.power_ratio),
         "errors": {"light": float(result.error)},
+        "notes": _notes(settings.n_lobes, len(result.centres), environment),
     }
+
+
+def _notes(asked: int, found: int, environment: Environment) -> list[str]:
+    if found == asked:
+        return []
+    size = f"{environment.width} x {environment.height}"
+    return [f"the light has {found} lobes, not {asked}: a map of {size} texels calls for no more"]

@@ -3,10 +3,8 @@
 from importlib import metadata
 from typing import Any
 
-import numpy as np
-
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.brdf import LambertSpec, brdf_adapter
+from prtbake_storage.contract.brdf import brdf_adapter
 from prtbake_storage.errors import InputError
 from prtbake_storage.hdf5.resources import read_environment, read_mesh
 from prtbake_workers.arrays import F32
@@ -33,14 +31,6 @@ def load_environment(store: BlobStore, digest: str) -> Environment:
 def load_brdf(spec: dict[str, Any]) -> Brdf:
     """Make the BRDF that a JSON spec describes."""
     return brdf_from_spec(brdf_adapter.validate_python(spec))
-
-
-def albedo_of(spec: dict[str, Any]) -> F32:
-    """Return what multiplies every colour of a part: the Lambertian albedo, else one."""
-    if spec["model"] != "lambert":
-        return np.ones(1, np.float32)
-    albedo = LambertSpec.model_validate(spec).albedo
-    return np.atleast_1d(np.asarray(albedo, np.float32))
 
 
 def load_texture(store: BlobStore, digest: str) -> F32:

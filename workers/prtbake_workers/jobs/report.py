@@ -14,6 +14,9 @@ from prtbake_workers.report.account import (
 from prtbake_workers.report.html import report_page
 
 _MODULE = "prtbake_workers.jobs.report"
+TILE_FIGURES = (
+    "signal", "residual", "rounding", "held_out_signal", "held_out_residual", "counters",
+)  # fmt: skip
 
 
 def stage(title: str) -> Stage:
@@ -33,7 +36,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "stages": [_stage_account(name, results, plan) for name in results],
         "plan": plan,
         "tiles": [
-            {name: tile[name] for name in ("signal", "residual", "rounding", "counters")}
+            {name: tile[name] for name in TILE_FIGURES}
             for tile in results.get("bake", [])
         ],
         "compressed": [
@@ -49,6 +52,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
         "numerics": _numerics(results),
+        "light_notes": results["fit_light"][0]["notes"] if "fit_light" in results else [],
         "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
         "sizes": {
             f"{name}.h5": results[stage][0]["bytes"]
@@ -65,6 +69,7 @@ def _numerics(results: Results) -> dict[str, Any]:
         numerics["gram_condition"] = results["plan"][0]["condition"]
     if "bake" in results:
         numerics["ray_offset"] = max(tile["epsilon"] for tile in results["bake"])
+        numerics["gram_defect_of_directions"] = max(t["gram_defect"] for t in results["bake"])
     if "fit_light" in results:
         (light,) = results["fit_light"]
         numerics |= {name: light[name] for name in ("lobes", "negative_lobes", "power_ratio")}
@@ -100,6 +105,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     notes = list(plan["notes"])
     for part in args["compressed"]:
         notes += part["notes"]
+    notes += args["light_notes"]
     if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
         notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
     report = make_report(

@@ -14,6 +14,7 @@ import numpy as np
 from prtbake_storage.contract.settings import Effects, Switch
 from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.spectrum import energy_lost_by_terms
 from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
@@ -139,7 +140,7 @@ def decide_effects(
             meshes[0], scene, factorisations[0], watertight, requested.self_shadowing, seed
         ),
         _receiver_shadows(scene, accelerator, factorisations, requested.receiver_shadows, seed),
-        _view_dependence(part_terms, requested.view_dependence),
+        _view_dependence(factorisations, requested.view_dependence),
         Decision(
             effect="tangent_frames",
             taken=max(part_terms) > 1,
@@ -237,14 +238,26 @@ def _receiver_shadows(
     )
 
 
-def _view_dependence(part_terms: list[int], switch: Switch) -> Decision:
-    glossy = max(part_terms) > 1
+def _view_dependence(factorisations: Sequence[Factorisation], switch: Switch) -> Decision:
+    """Report on what the factorisations hold: ``off`` has cut them to one term each."""
+    terms = [factorisation.n_terms for factorisation in factorisations]
+    glossy = [found for found in factorisations if not found.is_constant_phi]
     forced = switch != "auto"
+    # orders above 0 come in pairs below the first value: what is left is all that one term lacks
+    lost = [energy_lost_by_terms(found.singular_values, 1) for found in glossy]
+    if not glossy:
+        reason = "a Lambertian surface looks the same from everywhere"
+        reason = f"forced {switch}, but there is nothing to take: {reason}" if forced else reason
+    elif switch == "off":
+        reason = "forced off: one term a part, whose view factor is the same for all light"
+    else:
+        reason = "forced on: " if forced else ""
+        reason += f"terms a part: {terms}"
     return Decision(
         effect="view_dependence",
-        taken=glossy,
+        taken=max(terms) > 1,
         forced=forced,
-        reason=f"terms a part: {part_terms}"
-        + ("" if glossy else "; a Lambertian surface looks the same from everywhere"),
-        evidence={"terms": part_terms},
+        reason=reason,
+        evidence={"terms": terms},
+        predicted_error_otherwise=max(lost, default=0.0),
     )

@@ -29,16 +29,19 @@ its time on exposures in which everything seen is white."""
 class Metrics:
     """All figures of one comparison.
 
-    ``relative_l2`` and ``rel_mse`` are ratios, ``psnr_db`` is of the exposed sRGB pictures (None
-    where they are equal), ``flip`` the mean HDR-FLIP error in [0, 1], ``max_abs`` in radiance.
+    ``relative_l2`` and ``rel_mse`` are ratios (None where only the reference is black: there is
+    nothing to be relative to), ``psnr_db`` is of the exposed sRGB pictures (None where they are
+    equal), ``flip`` the mean HDR-FLIP error in [0, 1], ``max_abs`` in radiance.
     """
 
-    relative_l2: float
-    rel_mse: float
+    relative_l2: float | None
+    rel_mse: float | None
     psnr_db: float | None
     flip: float
     max_abs: float
     pixels: int
+    black_reference: bool
+    """The pixels that count are all black in the reference."""
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Return a JSON object."""
@@ -60,6 +63,7 @@ def compare(
         flip=error,
         max_abs=float(np.abs(_chosen(test, mask) - _chosen(reference, mask)).max(initial=0.0)),
         pixels=int(mask.sum()),
+        black_reference=bool(mask.any()) and not reference[mask].any(),
     )
 
 
@@ -67,8 +71,8 @@ def relative_l2(
     test: Float32[F32, "height width 3"],
     reference: Float32[F32, "height width 3"],
     mask: Bool[B8, "height width"],
-) -> float:
-    """Return ||test - reference|| / ||reference||; 0 for two black pictures, else inf if black."""
+) -> float | None:
+    """Return ||test - reference|| / ||reference||; 0 for two black pictures, None for one."""
     a, b = _chosen(test, mask), _chosen(reference, mask)
     return _ratio(float(np.linalg.norm(a - b)), float(np.linalg.norm(b)))
 
@@ -77,8 +81,11 @@ def rel_mse(
     test: Float32[F32, "height width 3"],
     reference: Float32[F32, "height width 3"],
     mask: Bool[B8, "height width"],
-) -> float:
-    """Return the mean of (t - r)^2 / (r^2 + 0.01 mean r^2) over pixels and channels."""
+) -> float | None:
+    """Return the mean of (t - r)^2 / (r^2 + 0.01 mean r^2) over pixels and channels.
+
+    0 for two black pictures, None if only the reference is black.
+    """
     a, b = _chosen(test, mask), _chosen(reference, mask)
     if b.size == 0:
         return 0.0
@@ -146,7 +153,7 @@ def _chosen(picture: np.ndarray, mask: B8) -> np.ndarray:
     return np.asarray(picture[mask], np.float64)
 
 
-def _ratio(error: float, norm: float) -> float:
+def _ratio(error: float, norm: float) -> float | None:
     if norm == 0.0:
-        return 0.0 if error == 0.0 else float("inf")
+        return 0.0 if error == 0.0 else None
     return error / norm

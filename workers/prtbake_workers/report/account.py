@@ -26,14 +26,22 @@ class StageAccount:
 def projection_errors(
     parts: Sequence[Mapping[str, Any]], tiles: Sequence[Mapping[str, Any]]
 ) -> dict[str, float]:
-    """Return each part's squared-error ratio of projection and 16-bit rounding, over its tiles."""
+    """Return each part's squared-error ratios over its tiles.
+
+    Of the projection in the directions that it was fitted in, in others, and of 16-bit rounding.
+    """
     done = iter(tiles)
     errors = {}
     for part in parts:
         own = [next(done) for _ in part["tiles"]]
-        signal = sum(tile["signal"] for tile in own)
-        for name, key in ((part["name"], "residual"), (f"{part['name']} 16-bit", "rounding")):
-            errors[name] = sum(tile[key] for tile in own) / signal if signal else 0.0
+        name = part["name"]
+        for label, error, signal in (
+            (name, "residual", "signal"),
+            (f"{name} in other directions", "held_out_residual", "held_out_signal"),
+            (f"{name} 16-bit", "rounding", "signal"),
+        ):
+            whole = sum(tile[signal] for tile in own)
+            errors[label] = sum(tile[error] for tile in own) / whole if whole else 0.0
     return errors
 
 
@@ -76,7 +84,8 @@ def pooled_budget(views: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
                     "total_noise",
                     "total_below_noise",
                     "reference_noise",
-                    "squared_reference",
+                    "squared_norm",
+                    "black_reference",
                 )
             },
         )
@@ -113,7 +122,10 @@ def make_report(
             else ""
         )
         summary += (
-            f" Over {shown} pictures{unseen} the delivered asset is "
+            f" Over {shown} pictures{unseen} the reference is black or lost in its noise: there is "
+            "no relative error of the delivered asset."
+            if budget["black_reference"]
+            else f" Over {shown} pictures{unseen} the delivered asset is "
             f"{100 * budget['total']:.2g} % from the reference (relative L2){noisy}."
         )
     return {

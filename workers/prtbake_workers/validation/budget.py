@@ -4,6 +4,9 @@ A line is the L2 difference of two neighbouring pictures of the chain over the p
 surface, relative to the reference's own L2 norm.  Where a picture comes from Monte Carlo passes,
 the squared difference of the means is too large by the variance of the mean difference; that
 variance is estimated from the passes, subtracted, and stated.
+
+Where the reference is black, or its noise hides it, lines are relative to the brightest picture of
+the chain instead, and the budget says so.
 """
 
 from collections.abc import Sequence
@@ -50,8 +53,10 @@ class Budget:
     total_below_noise: bool
     reference_noise: float
     """Relative standard error of the reference picture itself."""
-    squared_reference: float
-    """Squared norm of the reference, for pooling."""
+    squared_norm: float
+    """What the squares of the errors are relative to: the squared norm of the reference."""
+    black_reference: bool = False
+    """The reference is black or lost in its noise: ``squared_norm`` is the brightest picture's."""
 
     @property
     def sum_of_lines(self) -> float:
@@ -83,11 +88,12 @@ def make_budget(chain: Sequence[ChainPicture]) -> Budget:
     n = len(reference.passes)
     noise = float(reference.passes.var(axis=0, ddof=1).sum()) / n if n > 1 else 0.0
     squared = float((reference.mean**2).sum()) - noise
-    if squared <= 0.0:
+    black = squared <= 0.0
+    if black:
         if not any(picture.passes.any() for picture in chain):
             dark = tuple(BudgetLine(picture.name, 0.0, 0.0, False) for picture in chain[1:])
             return Budget(dark, 0.0, 0.0, False, 0.0, 0.0)
-        squared = max(float((chain[-1].mean ** 2).sum()), np.finfo(np.float64).tiny)
+        squared = max(float((p.passes**2).sum()) / len(p.passes) for p in chain)
     lines = []
     for before, after in pairwise(chain):
         value, variance = squared_difference(before, after)
@@ -100,7 +106,8 @@ def make_budget(chain: Sequence[ChainPicture]) -> Budget:
         total_noise=total.noise,
         total_below_noise=total.below_noise,
         reference_noise=float(np.sqrt(noise / squared)),
-        squared_reference=squared,
+        squared_norm=squared,
+        black_reference=black,
     )
 
 
@@ -108,12 +115,16 @@ def pool_budgets(budgets: Sequence[Budget]) -> Budget:
     """Pool the budgets of several pictures: every norm is taken over all of their pixels.
 
     A pooled error is below its noise where the pooled square is less than twice its variance, as
-    for one picture; a picture that shows nothing counts for nothing.
+    for one picture; a picture that shows nothing counts for nothing.  One with a black reference
+    adds its differences and no norm, unless all are such.
     """
-    weights = [budget.squared_reference for budget in budgets]
-    squared = sum(weights)
-    if squared == 0.0:
+    weights = [budget.squared_norm for budget in budgets]
+    if not any(weights):
         return budgets[0]
+    squared = sum(budget.squared_norm for budget in budgets if not budget.black_reference)
+    black = squared == 0.0
+    if black:
+        squared = sum(weights)
 
     def pooled(values: list[float]) -> float:
         return float(np.sqrt(np.dot(weights, np.square(values)) / squared))
@@ -139,7 +150,8 @@ def pool_budgets(budgets: Sequence[Budget]) -> Budget:
         total_noise=total.noise,
         total_below_noise=total.below_noise,
         reference_noise=pooled([budget.reference_noise for budget in budgets]),
-        squared_reference=squared,
+        squared_norm=squared,
+        black_reference=black,
     )
 
 

@@ -46,8 +46,14 @@ def _budget(result: Result) -> Table | None:
     budget = result.get("budget")
     if not isinstance(budget, Mapping):
         return None
+    caption = None
+    if budget.get("black_reference"):
+        caption = "the reference is black or lost in its noise: relative to the brightest picture"
     table = Table(
-        title="error budget: relative L2 of the validation pictures", title_justify="left"
+        title="error budget: relative L2 of the validation pictures",
+        title_justify="left",
+        caption=caption,
+        caption_justify="left",
     )
     table.add_column("line")
     table.add_column("error", justify="right")

@@ -26,7 +26,7 @@ def guess_lobes(cells: Cells, n_lobes: int, rng: np.random.Generator) -> Lobes:
 
     A chosen direction marks all within its coverage; when all are marked, coverages shrink, the
     marks are renewed and the queue is walked again.  Directions of equal priority (an even sky)
-    come in random order.
+    come in random order.  No direction is chosen twice: there are at most as many lobes as cells.
     """
     coverage = estimate_coverage(cells)
     priority = coverage * np.maximum(cells.radiance @ LUMINANCE, 0.0)
@@ -34,6 +34,7 @@ def guess_lobes(cells: Cells, n_lobes: int, rng: np.random.Generator) -> Lobes:
     queue = shuffled[np.argsort(-priority[shuffled], kind="stable")]
     chosen: list[int] = []
     marked = np.zeros(len(queue), dtype=bool)
+    n_lobes = min(n_lobes, len(queue))
     while len(chosen) < n_lobes:
         for j in queue:
             if marked[j]:
@@ -43,16 +44,12 @@ def guess_lobes(cells: Cells, n_lobes: int, rng: np.random.Generator) -> Lobes:
             if len(chosen) == n_lobes or marked.all():
                 break
         if len(chosen) < n_lobes:
-            if len(chosen) >= len(queue):
-                break
             coverage = coverage * SHRINK
             marked[:] = False
             for j in chosen:
                 marked |= _within(cells, j, coverage[j])
-    # more lobes than directions: the first directions serve again, with half the width
-    again = np.resize(np.array(chosen), n_lobes)
-    width = coverage[again] * 0.5 ** (np.arange(n_lobes) // len(chosen))
-    return Lobes(cells.directions[again], 1.0 / width**2)
+    centres = np.array(chosen)
+    return Lobes(cells.directions[centres], 1.0 / coverage[centres] ** 2)
 
 
 def estimate_coverage(cells: Cells) -> Float64[F64, " cells"]:

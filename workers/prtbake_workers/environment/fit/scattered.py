@@ -105,7 +105,8 @@ def fit_scattered_srbf(
         Where the light is a sun of a few texels the samples should be about as dense in every
         direction; ``fit_environment`` splits texels to that end.
     n_lobes
-        Number of lobes, at least 1.  Time grows with its square.
+        Number of lobes, at least 1; where there are fewer samples, there are as few lobes.  Time
+        grows with its square.
     seed
         Breaks ties of the first guess; equal arguments give equal results.
     max_iterations
@@ -145,9 +146,10 @@ def _fit_stages(
 ) -> ScatteredFit:
     """Go through the stages."""
     rng = np.random.default_rng(seed)
+    n_lobes = min(n_lobes, len(texels.solid_angles))
     if texels.energy == 0.0:
         lobes = guess_lobes(even_cells(texels, _face_cells(n_lobes, 3)), n_lobes, rng)
-        return ScatteredFit(*lobes, np.zeros((n_lobes, 3)), 0.0, 1.0, 0, {})
+        return ScatteredFit(*lobes, np.zeros_like(lobes.centres), 0.0, 1.0, 0, {})
     errors: dict[str, float] = {}
     progress(0.0, "peaks")
     base, peaks = texels, Lobes(np.zeros((0, 3)), np.zeros(0))

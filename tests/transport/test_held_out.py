@@ -1,0 +1,83 @@
+"""The error in directions of its own, against a dense quadrature at every vertex."""
+
+import numpy as np
+import pytest
+
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
+from prtbake_workers.transport.bake import bake_block
+from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.held_out import held_out_energies
+
+DIFFUSE = factorise(Lambert(np.array([0.5])))
+GLOSSY = factorise(CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1])), n_terms=4)
+DENSE = cube_directions(40)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.from_parts([teapot(4)])
+
+
+@pytest.fixture(scope="module")
+def accelerator(scene):
+    return Accelerator(scene.positions, scene.faces)
+
+
+@pytest.fixture(scope="module")
+def basis():
+    return SrbfBasis(icosphere(2))
+
+
+def bake(scene, accelerator, basis, factorisation, cube):
+    return bake_block(
+        scene, accelerator, (0, scene.n_vertices), factorisation=factorisation, directions=cube,
+        projection=basis.projection(cube.directions, cube.weights),
+    )  # fmt: skip
+
+
+def dense_error(scene, accelerator, basis, factorisation, coefficients):
+    """The true squared-error ratio: 9,600 directions, every vertex, energies subtracted.
+
+    The best fit b and its residual come from a bake at the dense directions; any other
+    coefficients t miss |T - B b|^2 + |t - b|^2, the whitened basis being orthonormal.
+    """
+    best = bake(scene, accelerator, basis, factorisation, DENSE)
+    apart = coefficients.astype(np.float64) - best.coefficients
+    missed = best.residual_energy + (apart**2).sum(axis=(1, 2))
+    return float(scene.areas @ missed) / float(scene.areas @ best.signal_energy)
+
+
+@pytest.mark.parametrize("factorisation", [DIFFUSE, GLOSSY], ids=["diffuse", "glossy"])
+@pytest.mark.parametrize("resolution", [4, 5, 12])
+def test_the_true_error_is_found_where_the_residual_is_not(
+    scene, accelerator, basis, factorisation, resolution
+):
+    block = bake(scene, accelerator, basis, factorisation, cube_directions(resolution))
+    signal, residual = held_out_energies(
+        scene, accelerator, (0, scene.n_vertices), block.coefficients,
+        factorisation=factorisation, basis=basis, seed=1,
+    )  # fmt: skip
+    expected = dense_error(scene, accelerator, basis, factorisation, block.coefficients)
+    # 10 % is the standard deviation over twelve seeds
+    assert residual / signal == pytest.approx(expected, rel=0.3)
+    # the negative twin: what the fit says of itself, where 96 or 150 directions hold 162 SRBFs
+    own = float(scene.areas @ block.residual_energy) / float(scene.areas @ block.signal_energy)
+    if resolution < 6:
+        assert own < 1e-4 * expected
+    else:
+        assert own == pytest.approx(expected, rel=0.3)
+
+
+def test_a_part_without_area_has_no_energy(scene, accelerator, basis):
+    nothing = np.zeros((0, 1, basis.n), np.float32)
+    found = held_out_energies(
+        scene, accelerator, (0, 0), nothing, factorisation=DIFFUSE, basis=basis, seed=1
+    )
+    assert found == (0.0, 0.0)
