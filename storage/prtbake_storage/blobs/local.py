@@ -16,7 +16,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -171,12 +171,19 @@ class LocalBlobStore(BlobStore):
             with suppress(OSError):  # another task of this owner still works
                 folder.rmdir()
 
-    def sweep_scratch(self, *, owner: str | None = None, older_than_s: float = 0.0) -> int:
-        """Remove scratch that a killed process left: one owner's, or all that is old enough."""
+    def sweep_scratch(
+        self, *, owner: str | None = None, older_than_s: float = 0.0, keep: Collection[str] = ()
+    ) -> int:
+        """Remove scratch that a killed process left.
+
+        One owner's, or what no owner in ``keep`` has and nobody has written to for so long.
+        """
         pattern = f"{check_owner(owner)}/*" if owner is not None else "*/*"
         limit = time.time() - older_than_s
         swept = 0
         for path in (self.root / "scratch").glob(pattern):
+            if path.parent.name in keep:
+                continue
             with suppress(FileNotFoundError):
                 if path.stat().st_mtime > limit:
                     continue
