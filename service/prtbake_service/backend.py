@@ -10,6 +10,7 @@ from prtbake_service.health.metrics import Metrics
 from prtbake_service.settings import ServiceSettings
 from prtbake_storage.blobs import BlobStore, open_store
 from prtbake_storage.queue.engine import JobQueue
+from prtbake_storage.queue.settings import new_executor_id
 from prtbake_storage.records import (
     Database,
     Events,
@@ -61,7 +62,7 @@ class Backend:
             uploads=Uploads(database),
             workers=Workers(database),
             keys=Keys(database),
-            blobs=open_store(settings.blobs, owner="service"),
+            blobs=open_store(settings.blobs, owner=f"service-{new_executor_id()}"),
             queue=JobQueue(settings.database),
             metrics=metrics,
         )

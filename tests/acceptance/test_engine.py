@@ -8,6 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -310,6 +311,26 @@ def test_a_claim_of_a_worker_that_nobody_knows_is_handed_on(lone: Fleet) -> None
     lone.await_workers(1)
     lone.until(lambda: lone.jobs.get(job_id).state.terminal, "the job's end", 20.0)
     assert lone.jobs.get(job_id).state == "succeeded"
+
+
+def test_what_a_killed_upload_left_is_swept_while_workers_run(lone: Fleet) -> None:
+    lone.spawn()
+    lone.await_workers(1)
+    scratch = lone.settings.data_dir / "blobs" / "scratch"
+    (living,) = (worker.executor_id for worker in lone.workers.all())
+    left, held, fresh = (
+        scratch / owner / "file" for owner in ("service-gone", living, "service-lives")
+    )
+    for path in (left, held, fresh):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+    long_ago = time.time() - 2 * 3600.0
+    for path in (left, held):
+        os.utime(path, (long_ago, long_ago))
+    lone.until(lambda: not left.exists(), "the sweep", 20.0)
+    assert not left.parent.exists()
+    assert held.exists()  # its owner may be at it for days
+    assert fresh.exists()
 
 
 def test_a_pickle_in_place_of_a_jobs_arguments_is_not_read(lone: Fleet) -> None:

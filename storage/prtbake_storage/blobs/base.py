@@ -10,7 +10,7 @@ import json
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -156,8 +156,13 @@ class BlobStore(ABC):
         """Lend an empty folder on the store's file system, removed afterwards."""
 
     @abstractmethod
-    def sweep_scratch(self, *, owner: str | None = None, older_than_s: float = 0.0) -> int:
-        """Remove scratch that a killed process left: one owner's, or all that is old enough."""
+    def sweep_scratch(
+        self, *, owner: str | None = None, older_than_s: float = 0.0, keep: Collection[str] = ()
+    ) -> int:
+        """Remove scratch that a killed process left.
+
+        One owner's, or what no owner in ``keep`` has and nobody has written to for so long.
+        """
 
     def put_bytes(self, data: bytes, *, expected: str | None = None) -> str:
         """Store bytes and return their digest; `DigestMismatch` if it is not ``expected``."""

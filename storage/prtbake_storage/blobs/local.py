@@ -19,7 +19,7 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -183,8 +183,13 @@ class LocalBlobStore(BlobStore):
             with suppress(OSError):  # another task of this owner still works
                 folder.rmdir()
 
-    def sweep_scratch(self, *, owner: str | None = None, older_than_s: float = 0.0) -> int:
-        """Remove scratch that a killed process left: one owner's, or all that is old enough."""
+    def sweep_scratch(
+        self, *, owner: str | None = None, older_than_s: float = 0.0, keep: Collection[str] = ()
+    ) -> int:
+        """Remove scratch that a killed process left.
+
+        One owner's, or what no owner in ``keep`` has and nobody has written to for so long.
+        """
         scratch = self.root / "scratch"
         if owner is not None:
             found = list(scratch.glob(f"{check_owner(owner)}/*"))
@@ -193,6 +198,8 @@ class LocalBlobStore(BlobStore):
         limit = time.time() - older_than_s
         swept = 0
         for path in found:
+            if path.parent.name in keep:
+                continue
             with suppress(FileNotFoundError):
                 if path.stat().st_mtime > limit:
                     continue

@@ -12,9 +12,15 @@ from prtbake_storage.records.workers import Workers
 
 _log = logging.getLogger(__name__)
 
+STALE_SCRATCH_S = 3600.0
+"""Scratch of no known worker, such as a killed service's, is swept once untouched for so long."""
+
 
 class Watchdog:
-    """One round looks at every heartbeat, at claims of nobody, and at this worker's own claims."""
+    """One round looks at every heartbeat, at claims of nobody, and at this worker's own claims.
+
+    Once in ``dead_after_s`` it also looks at scratch.
+    """
 
     def __init__(
         self,
@@ -31,6 +37,7 @@ class Watchdog:
         self._heart, self._store = heart, store
         self._executor_id, self._settings = executor_id, settings
         self._strangers: dict[str, float] = {}
+        self._next_sweep = time.monotonic()
 
     def run(self, stop: threading.Event) -> None:
         """Look around once a heartbeat until told to stop."""
@@ -38,6 +45,7 @@ class Watchdog:
             try:
                 self.recover_dead()
                 self.reap_orphans()
+                self.sweep()
             except Exception as error:  # noqa: BLE001 - the next round may find the database again
                 _log.warning("watchdog.failed", extra={"error": str(error)[:200]})
 
@@ -75,6 +83,14 @@ class Watchdog:
         for claim in self._engine.orphans(claims, after_s=self._settings.dead_after_s / 2):
             _log.warning("claim.orphaned", extra={"workflow": claim.workflow_id})
             self._queue.hand_back(claim)
+
+    def sweep(self) -> None:
+        """Remove what killed uploads left; a worker's scratch is swept when it is found dead."""
+        if time.monotonic() < self._next_sweep:
+            return
+        self._next_sweep = time.monotonic() + self._settings.dead_after_s
+        known = {worker.executor_id for worker in self._workers.all()}
+        self._store.sweep_scratch(older_than_s=STALE_SCRATCH_S, keep=known)
 
     def _strange(self) -> list[str]:
         """Workers that hold claims and have not been listed for as long as the silent are given."""

@@ -26,9 +26,6 @@ from prtbake_storage.records.workers import Workers
 
 _log = logging.getLogger(__name__)
 
-STALE_SCRATCH_S = 86400.0
-"""Scratch of nobody known is swept after a day."""
-
 LEAVE_S = 5.0
 """How long a leaving worker waits for its tasks' processes to be gone: they are killed."""
 
@@ -64,7 +61,6 @@ class WorkerProcess:
             signal.signal(number, lambda *_: self._shutdown.set())
         settings = self._settings
         code = code_version()  # now: sources that change later are not those loaded here
-        self._store.sweep_scratch(older_than_s=STALE_SCRATCH_S)
         # before the first claim: nobody may take our work for a dead worker's
         self._heart.beat()
         self._engine.launch(
