@@ -138,6 +138,23 @@ def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
     assert abs(apart[0] - apart[1]) <= merged <= sum(apart)
 
 
+def test_clustered_pca_stops_after_as_many_iterations_as_asked(glossy_asset, store):
+    _, context, results = glossy_asset
+    artefacts = {"transfer": {"digest": results["join"][0]["transfer"]}}
+    found = {}
+    for most in (1, 40):
+        request = {
+            "kind": "compress", "transfer": "job/transfer.h5",
+            "settings": {"max_iterations": most, "n_clusters": 8},
+        }  # fmt: skip
+        stages = REGISTRY.stages("compress", request, {**context, "artefacts": artefacts})
+        for part in run_stages(stages[:2], store)["compress"]:
+            found[part["method"], most] = part["iterations"]
+    assert found["cpca", 1] == 1
+    # negative twin: left alone it goes on
+    assert found["cpca", 40] > 1
+
+
 def lines_of(results):
     """The budget of the first picture: error by line."""
     lines = results["validate"][0]["views"][0]["budget"]["lines"]
