@@ -174,6 +174,7 @@ def test_estimate_plans_without_running(glossy_asset, store):
     ("changes", "pointer"),
     [
         ({"settings": {"bake": {"bandwidth": 0.5}}}, None),
+        ({"settings": {"bake": {"bandwidth": 5e4}}}, "/settings/bake/bandwidth"),
         ({"settings": {"compress": {"method": "cpca"}}}, "/settings/compress/method"),
         ({"albedo_texture": "sha256:" + "0" * 64}, "/albedo_texture"),
     ],

@@ -25,7 +25,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
 from prtbake_workers.jobs.scene_file import PlannedScene, read_scene, write_scene
 from prtbake_workers.planning.effects import decide_effects
-from prtbake_workers.planning.plan import Plan, make_plan
+from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
@@ -96,6 +96,7 @@ def stages(
 def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
     """Load the inputs, factorise the materials, decide effects, parts and tiles."""
     settings = StageSettings.from_dict(args["settings"])
+    check_bandwidth(settings.bake)
     mesh, report = load_mesh(store, args["mesh"])
     meshes, specs, names = [mesh], [args["brdf"]], ["object"]
     if args["receiver"] is not None:
