@@ -8,10 +8,12 @@ import pytest
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.resources import read_mesh
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs import report
+from prtbake_workers.jobs.bake import repairs
 from prtbake_workers.jobs.registry import REGISTRY
-from support.local_stages import run_stages
+from support.local_stages import registered, run_stages
 from support.scenes import asset_request, run_asset, run_until, teapot_context
 
 
@@ -168,6 +170,31 @@ def test_estimate_plans_without_running(glossy_asset, store):
     estimate = REGISTRY.finish("estimate", quick, context, results).result
     assert estimate["total_seconds"] > 0
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
+
+
+@pytest.mark.parametrize(("name", "tessellation"), [("teapot", 4), ("icosphere", 2)])
+def test_what_a_built_in_mesh_reports_is_what_is_stored(store, name, tessellation):
+    found = registered(store, "mesh", builtin={"name": name, "tessellation": tessellation})
+    stored = read_mesh(store.local_path(found["canonical"]))
+    assert found["understood"]["n_vertices"] == len(stored.positions)
+    assert found["understood"]["n_faces"] == len(stored.faces)
+    # nothing was mended, so no job on it says so
+    assert repairs(stored.report) == []
+
+
+def test_a_piece_that_was_inside_out_is_said_to_be_turned_outward(store):
+    """A tetrahedron wound inwards: the notes name what was done, once, and not its opposite."""
+    inward = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"
+    blob = store.put_bytes(inward.encode())
+    found = registered(store, "mesh", blob=blob, format="obj")
+    stored = read_mesh(store.local_path(found["canonical"]))
+    corners = stored.positions[stored.faces]
+    volume = np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    assert volume > 0.0
+    assert [*repairs(stored.report), *stored.report["warnings"]] == [
+        "mesh: 4 faces were turned over",
+        "1 closed pieces were inside out and were turned outward",
+    ]
 
 
 @pytest.mark.parametrize(

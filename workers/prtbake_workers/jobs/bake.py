@@ -170,10 +170,9 @@ REPAIRS = {
     "duplicate_vertices": "duplicate vertices were merged",
     "degenerate_faces": "faces without area were dropped",
     "duplicate_faces": "duplicate faces were dropped",
-    "flipped_faces": "faces were turned to agree with their neighbours",
-    "pieces_turned_outward": "pieces were turned inside out",
-    "pieces_left_inside_out": "pieces were left inside out",
+    "flipped_faces": "faces were turned over",
 }
+"""What no warning of the report says; its warnings stand beside these."""
 
 
 def repairs(report: dict[str, Any]) -> list[str]:
