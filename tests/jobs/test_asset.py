@@ -97,8 +97,25 @@ def test_the_page_holds_its_pictures_and_loads_nothing(glossy_asset, store):
     assert page.count("data:image/png;base64,") == 3
     assert "http://" not in page
     assert "https://" not in page
+
+
+def test_the_stated_totals_are_those_of_the_pictures(glossy_asset, store):
+    """The metrics compare the same two pictures, apart from the budget and without its variances.
+
+    With v the squared difference of the means and r their reference's squared norm: total^2 +
+    noise^2 = v / (r - variance), and relative L2^2 = v / r.
+    """
+    files = {file.name: file.digest for file in finished(glossy_asset).artefacts}
     written = json.loads(store.read_bytes(files["report.json"]))
-    assert written["budget"]["total"] <= written["budget"]["sum_of_lines"]
+    assert len(written["views"]) == 2
+    for view in written["views"]:
+        budget = view["budget"]
+        squared = budget["total"] ** 2 + budget["total_noise"] ** 2
+        expected = squared / (1.0 + budget["reference_noise"] ** 2)
+        # float32 pictures
+        assert view["metrics"]["relative_l2"] ** 2 == pytest.approx(expected, rel=1e-4)
+        # negative twin: the noise is enough to tell
+        assert budget["total"] ** 2 != pytest.approx(expected, rel=1e-4)
 
 
 def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
