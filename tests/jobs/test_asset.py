@@ -9,8 +9,10 @@ from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import CorruptArtefact, InputError, SettingsError
 from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.resources import read_mesh
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs import report
+from prtbake_workers.jobs.bake import repairs
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stages
 from support.scenes import asset_request, run_asset, run_until, teapot_context
@@ -114,8 +116,25 @@ def test_the_page_holds_its_pictures_and_loads_nothing(glossy_asset, store):
     assert page.count("data:image/png;base64,") == 3
     assert "http://" not in page
     assert "https://" not in page
+
+
+def test_the_stated_totals_are_those_of_the_pictures(glossy_asset, store):
+    """The metrics compare the same two pictures, apart from the budget and without its variances.
+
+    With v the squared difference of the means and r their reference's squared norm: total^2 +
+    noise^2 = v / (r - variance), and relative L2^2 = v / r.
+    """
+    files = {file.name: file.digest for file in finished(glossy_asset).artefacts}
     written = json.loads(store.read_bytes(files["report.json"]))
-    assert written["budget"]["total"] <= written["budget"]["sum_of_lines"]
+    assert len(written["views"]) == 2
+    for view in written["views"]:
+        budget = view["budget"]
+        squared = budget["total"] ** 2 + budget["total_noise"] ** 2
+        expected = squared / (1.0 + budget["reference_noise"] ** 2)
+        # float32 pictures
+        assert view["metrics"]["relative_l2"] ** 2 == pytest.approx(expected, rel=1e-4)
+        # negative twin: the noise is enough to tell
+        assert budget["total"] ** 2 != pytest.approx(expected, rel=1e-4)
 
 
 def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
@@ -155,6 +174,23 @@ def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
     apart = held["compression"], held["16-bit factors"]
     assert apart[1] > 0.0
     assert abs(apart[0] - apart[1]) <= merged <= sum(apart)
+
+
+def test_clustered_pca_stops_after_as_many_iterations_as_asked(glossy_asset, store):
+    _, context, results = glossy_asset
+    artefacts = {"transfer": {"digest": results["join"][0]["transfer"]}}
+    found = {}
+    for most in (1, 40):
+        request = {
+            "kind": "compress", "transfer": "job/transfer.h5",
+            "settings": {"max_iterations": most, "n_clusters": 8},
+        }  # fmt: skip
+        stages = REGISTRY.stages("compress", request, {**context, "artefacts": artefacts})
+        for part in run_stages(stages[:2], store)["compress"]:
+            found[part["method"], most] = part["iterations"]
+    assert found["cpca", 1] == 1
+    # negative twin: left alone it goes on
+    assert found["cpca", 40] > 1
 
 
 def lines_of(results):
@@ -221,10 +257,36 @@ def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
             predict(kind, *own, settings={}, artefacts=swapped)
 
 
+@pytest.mark.parametrize(("name", "tessellation"), [("teapot", 4), ("icosphere", 2)])
+def test_what_a_built_in_mesh_reports_is_what_is_stored(store, name, tessellation):
+    found = registered(store, "mesh", builtin={"name": name, "tessellation": tessellation})
+    stored = read_mesh(store.local_path(found["canonical"]))
+    assert found["understood"]["n_vertices"] == len(stored.positions)
+    assert found["understood"]["n_faces"] == len(stored.faces)
+    # nothing was mended, so no job on it says so
+    assert repairs(stored.report) == []
+
+
+def test_a_piece_that_was_inside_out_is_said_to_be_turned_outward(store):
+    """A tetrahedron wound inwards: the notes name what was done, once, and not its opposite."""
+    inward = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"
+    blob = store.put_bytes(inward.encode())
+    found = registered(store, "mesh", blob=blob, format="obj")
+    stored = read_mesh(store.local_path(found["canonical"]))
+    corners = stored.positions[stored.faces]
+    volume = np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    assert volume > 0.0
+    assert [*repairs(stored.report), *stored.report["warnings"]] == [
+        "mesh: 4 faces were turned over",
+        "1 closed pieces were inside out and were turned outward",
+    ]
+
+
 @pytest.mark.parametrize(
     ("changes", "pointer"),
     [
         ({"settings": {"bake": {"bandwidth": 0.5}}}, None),
+        ({"settings": {"bake": {"bandwidth": 5e4}}}, "/settings/bake/bandwidth"),
         ({"settings": {"compress": {"method": "cpca"}}}, "/settings/compress/method"),
         ({"albedo_texture": "sha256:" + "0" * 64}, "/albedo_texture"),
     ],

@@ -1,13 +1,14 @@
+import numpy as np
 import pytest
 
-from prtbake_storage.contract.settings import AssetSettings
+from prtbake_storage.contract.settings import AssetSettings, BakeSettings
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.srbf import SrbfBasis, default_bandwidth
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.effects import Decision
-from prtbake_workers.planning.plan import make_plan
+from prtbake_workers.planning.plan import MOST_BANDWIDTH, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import LADDER, resolve_stages
 from prtbake_workers.transport.directions import cube_directions
 
@@ -69,3 +70,24 @@ def test_too_few_directions_for_the_basis_are_noted(n_centres):
 @pytest.mark.parametrize("quality", LADDER)
 def test_every_quality_resolves_its_basis(quality):
     assert plan_of(resolve_stages(quality, AssetSettings()), 1)[1].notes == ()
+
+
+@pytest.mark.parametrize("n_centres", [12, 162, 642])
+def test_a_bandwidth_that_leaves_holes_between_the_centres_is_refused(n_centres):
+    most = MOST_BANDWIDTH * default_bandwidth(n_centres)
+    check_bandwidth(BakeSettings(n_centres=n_centres))
+    check_bandwidth(BakeSettings(n_centres=n_centres, bandwidth=most))
+    with pytest.raises(SettingsError, match=f"at most {most:g}") as caught:
+        check_bandwidth(BakeSettings(n_centres=n_centres, bandwidth=1.01 * most))
+    assert caught.value.pointer == "/settings/bake/bandwidth"
+
+
+def test_the_largest_bandwidth_is_where_holes_begin():
+    """In the direction farthest from all centres every function is below a tenth of its peak."""
+    centres = icosphere(3)
+    directions = cube_directions(64).directions
+    farthest = (directions @ centres.T).max(axis=1).min()
+    lam = default_bandwidth(len(centres))
+    assert np.exp(MOST_BANDWIDTH * lam * (farthest - 1.0)) < 0.1
+    # at the default it is no hole
+    assert np.exp(lam * (farthest - 1.0)) > 0.7

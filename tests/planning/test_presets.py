@@ -15,6 +15,17 @@ def test_every_step_of_the_ladder_resolves_and_grows():
         assert lower.fit_light.n_lobes < upper.fit_light.n_lobes
 
 
+def test_medium_holds_the_paper_s_settings_but_for_its_rays():
+    """Sections 5.1 and 7: 6 x 32 x 32 texels, 642 SRBFs, ranks (8, 48, 24), 16 rays a texel."""
+    medium = resolve_stages("medium", AssetSettings()).bake
+    assert (medium.cube_resolution, medium.n_centres) == (32, 642)
+    holding = [name for name, step in LADDER.items() if step.ranks == (8, 48, 24)]
+    assert holding == ["medium"]
+    rays = {name: resolve_stages(name, AssetSettings()).bake.supersample for name in LADDER}
+    assert (rays["medium"], rays["high"], rays["reference"]) == (1, 2, 2)
+    assert max(rays.values()) < 4
+
+
 def test_overrides_replace_only_the_fields_given():
     plain = resolve_stages("medium", AssetSettings())
     changed = resolve_stages("medium", AssetSettings(bake={"n_centres": 162}))

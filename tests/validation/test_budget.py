@@ -57,13 +57,19 @@ def test_a_difference_of_pure_noise_is_marked_as_such(rng, truth):
     assert make_budget(chain).lines[0].below_noise
 
 
-def test_the_total_is_at_most_the_sum_of_the_lines(rng, truth):
-    pictures = [truth]
-    for _ in range(5):
-        pictures.append(pictures[-1] + 0.02 * rng.standard_normal(truth.shape))
+@pytest.mark.parametrize("steps", ["orthogonal", "parallel", "cancelling"])
+def test_the_total_is_measured_end_to_end(truth, steps):
+    """Not from the lines: equal lines have a total of their root, their sum, or nothing."""
+    size = 0.02 * np.linalg.norm(truth)
+    first, second = np.zeros_like(truth), np.zeros_like(truth)
+    first[0, 0] = size
+    second[(1, 0) if steps == "orthogonal" else (0, 0)] = -size if steps == "cancelling" else size
+    pictures = [truth, truth + first, truth + first + second]
     budget = make_budget([ChainPicture(str(i), p[None]) for i, p in enumerate(pictures)])
-    assert budget.total <= budget.sum_of_lines * (1 + 1e-12)
-    assert budget.total >= budget.sum_of_lines / 3
+    assert [line.error for line in budget.lines] == pytest.approx([0.02, 0.02], rel=1e-9)
+    assert budget.sum_of_lines == pytest.approx(0.04, rel=1e-9)
+    expected = {"orthogonal": 0.02 * np.sqrt(2.0), "parallel": 0.04, "cancelling": 0.0}[steps]
+    assert budget.total == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 
 def test_a_black_scene_has_no_error(truth):

@@ -33,7 +33,10 @@ class ReceiverPlane(Wire):
 
 
 class BakeSettings(Wire):
-    """Transport: ``cube_resolution`` N is 6 N^2 directions; ``supersample`` S is S^2 rays each."""
+    """Transport: ``cube_resolution`` N is 6 N^2 directions; ``supersample`` S is S^2 rays each.
+
+    ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
+    """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
     supersample: Annotated[int, Field(ge=1, le=8)] = 1

@@ -5,13 +5,15 @@ import pytest
 
 from prtbake_storage.errors import EnvironmentMapError, SettingsError
 from prtbake_workers.environment.environment import (
+    LUMINANCE,
     Environment,
     lat_long_directions,
     lat_long_solid_angles,
 )
 from prtbake_workers.environment.fit import fit_environment, fit_scattered_srbf
-from prtbake_workers.environment.fit.cells import Cells, environment_texels
+from prtbake_workers.environment.fit.cells import Cells, clip_level, environment_texels
 from prtbake_workers.environment.fit.objective import Lobes, evaluate_lobes
+from prtbake_workers.environment.fit.peaks import split_peaks
 from prtbake_workers.environment.fit.refine import narrowest_bandwidths
 from prtbake_workers.environment.procedural import constant, one_texel_sun
 from prtbake_workers.environment.sky import sun_direction
@@ -74,6 +76,27 @@ def test_a_map_of_a_few_texels_takes_no_more_lobes_than_it_has_room_for(
     assert np.isfinite(fit.coefficients).all()
     # as many lobes as texels: what is left is the ridge's and, beside a lamp, the regions'
     assert fit.error < (0.1 if lit == "lamp" else 0.02)
+
+
+def test_lamps_over_a_black_floor_are_fitted() -> None:
+    """Lamps far above the clip level, and texels of no radiance at all: a quotient overflowed."""
+    radiance = np.zeros((16, 32, 3), np.float32)
+    radiance[:10] = 1.0
+    radiance[4, 6] = radiance[9, 20] = 1e6
+    environment = Environment(radiance)
+    texels = environment_texels(environment)
+    clipped, excess = split_peaks(texels)
+    lit = texels.radiance.any(axis=1)
+    assert not clipped.radiance[~lit].any()
+    np.testing.assert_array_equal(clipped.radiance + excess.radiance, texels.radiance)
+    # at most the clip level everywhere, and that level is far above 4
+    level = clip_level(texels.radiance @ LUMINANCE, texels.solid_angles)
+    assert level > 4.0
+    assert (clipped.radiance @ LUMINANCE).max() == pytest.approx(level, rel=1e-12)
+    fit = fit_environment(environment, 12, seed=0, max_iterations=2)
+    # square lamps of one texel each by Gaussians: 0.106 was measured, 1 is no fit at all
+    assert fit.error < 0.15
+    assert fit.power_ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_more_lobes_fit_better(rng) -> None:

@@ -31,7 +31,7 @@ from prtbake_workers.jobs.scene_file import (
     write_scene,
 )
 from prtbake_workers.planning.effects import decide_effects
-from prtbake_workers.planning.plan import Plan, make_plan
+from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
@@ -108,6 +108,7 @@ def stages(
 def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
     """Load the inputs, factorise the materials, decide effects, parts and tiles."""
     settings = StageSettings.from_dict(args["settings"])
+    check_bandwidth(settings.bake)
     mesh, report = load_mesh(store, args["mesh"])
     meshes, specs, names = [mesh], [args["brdf"]], ["object"]
     if args["receiver"] is not None:
@@ -183,10 +184,9 @@ REPAIRS = {
     "duplicate_vertices": "duplicate vertices were merged",
     "degenerate_faces": "faces without area were dropped",
     "duplicate_faces": "duplicate faces were dropped",
-    "flipped_faces": "faces were turned to agree with their neighbours",
-    "pieces_turned_outward": "pieces were turned inside out",
-    "pieces_left_inside_out": "pieces were left inside out",
+    "flipped_faces": "faces were turned over",
 }
+"""What no warning of the report says; its warnings stand beside these."""
 
 
 def repairs(report: dict[str, Any]) -> list[str]:

@@ -164,6 +164,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             compression["n_components"],
             method="static",
             seed=args["seed"],
+            max_iterations=args["max_iterations"],
             vertex_weights=weights,
         )
         ranks = np.ones((cpca.n_clusters, 3), np.int32)

@@ -76,8 +76,11 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             orient_outward=False,
             crease_angle_deg=registration.crease_angle_deg,
         )
-        # its own normals are exact
-        if registration.crease_angle_deg is not None:
+        if registration.crease_angle_deg is None:
+            # stored as it is, with its own exact normals: the teapot's handle touches its body in
+            # a point that is no duplicate
+            found.n_vertices, found.duplicate_vertices = len(mesh.positions), 0
+        else:
             mesh = creased
     else:
         assert registration.blob is not None  # the contract holds exactly one source

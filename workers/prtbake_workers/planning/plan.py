@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
@@ -21,6 +23,10 @@ from prtbake_workers.planning.presets import PartCompression, StageSettings, res
 
 DIRECTIONS_A_CENTRE = 2.5
 """With fewer the sampled Gram matrix is off the identity by more than 0.05 (RMS over the basis)."""
+
+MOST_BANDWIDTH = 10.0
+"""Largest bandwidth in defaults: amid three centres every function has sunk to 7 % of its peak (to
+77 % at the default), and what is integrated against them has to be cut ever finer."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,24 @@ def occluders_of(part: int, n_parts: int, effects: list[Decision]) -> tuple[int,
     own = (0,) if part == 0 and taken["self_shadowing"] else ()
     others = tuple(i for i in range(n_parts) if i != part) if taken["receiver_shadows"] else ()
     return tuple(sorted(own + others))
+
+
+def check_bandwidth(bake: BakeSettings) -> None:
+    """Refuse a bandwidth with holes between the centres; the basis itself refuses too small a one.
+
+    Raises
+    ------
+    SettingsError
+        It is more than `MOST_BANDWIDTH` times the default for so many centres.
+    """
+    most = MOST_BANDWIDTH * default_bandwidth(bake.n_centres)
+    if bake.bandwidth is not None and bake.bandwidth > most:
+        raise SettingsError(
+            f"bandwidth {bake.bandwidth:g} is too large for {bake.n_centres} centres, which leave "
+            f"holes between them: at most {most:g}, the default is "
+            f"{default_bandwidth(bake.n_centres):g}",
+            pointer="/settings/bake/bandwidth",
+        )
 
 
 def resolution_notes(bake: BakeSettings) -> list[str]:

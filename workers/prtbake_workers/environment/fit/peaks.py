@@ -28,7 +28,8 @@ def split_peaks(texels: Cells) -> tuple[Cells, Cells]:
     """Split the light at ``clip_level`` into a clipped map and the peaks above it."""
     luminance = texels.radiance @ LUMINANCE
     level = clip_level(luminance, texels.solid_angles)
-    kept = np.minimum(1.0, level / np.maximum(luminance, np.finfo(float).tiny))
+    kept = np.ones_like(luminance)
+    np.divide(level, luminance, out=kept, where=luminance > level)
     clipped = texels.radiance * kept[:, None]
     return texels._replace(radiance=clipped), texels._replace(radiance=texels.radiance - clipped)
 
