@@ -5,15 +5,21 @@ from prtbake_storage.contract.brdf import (
     BrdfSpec,
     CookTorranceSpec,
     GgxSpec,
+    LafortuneSpec,
     LambertSpec,
+    OrenNayarSpec,
     PhongSpec,
+    WardSpec,
 )
 from prtbake_workers.brdf.base import Brdf, channels
 from prtbake_workers.brdf.blinn_phong import BlinnPhong
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.ggx import Ggx
+from prtbake_workers.brdf.lafortune import Lafortune, Lobe
 from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.brdf.oren_nayar import OrenNayar
 from prtbake_workers.brdf.phong import Phong
+from prtbake_workers.brdf.ward import Ward
 
 
 def brdf_from_spec(spec: BrdfSpec) -> Brdf:
@@ -33,3 +39,16 @@ def brdf_from_spec(spec: BrdfSpec) -> Brdf:
         case GgxSpec():
             kd, ks, f0 = channels(spec.kd, spec.ks, spec.f0)
             return Ggx(kd, ks, spec.alpha, f0)
+        case OrenNayarSpec():
+            (albedo,) = channels(spec.albedo)
+            return OrenNayar(albedo, spec.sigma)
+        case WardSpec():
+            kd, ks = channels(spec.kd, spec.ks)
+            return Ward(kd, ks, spec.alpha_x, spec.alpha_y)
+        case LafortuneSpec():
+            kd, *weights = channels(spec.kd, *(lobe.weight for lobe in spec.lobes))
+            lobes = tuple(
+                Lobe(weight, (lobe.cx, lobe.cy, lobe.cz), lobe.exponent)
+                for weight, lobe in zip(weights, spec.lobes, strict=True)
+            )
+            return Lafortune(kd, lobes)

@@ -22,6 +22,7 @@ from prtbake_storage.hdf5.resources import (
 )
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
+from prtbake_workers.brdf.base import is_isotropic
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.environment.environment import Environment
@@ -129,7 +130,9 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     if spec is None:
         assert registration.blob is not None  # the contract holds exactly one source
         if context.store.size(registration.blob) > MAX_JSON_BYTES:
-            raise BrdfError(f"a BRDF file holds JSON of at most {MAX_JSON_BYTES} bytes")
+            raise BrdfError(
+                f"a BRDF file holds JSON of at most {MAX_JSON_BYTES} bytes", pointer="/blob"
+            )
         try:
             spec = brdf_adapter.validate_json(context.store.read_bytes(registration.blob))
         except ValidationError as error:
@@ -140,6 +143,7 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     canonical = spec.model_dump(mode="json")
     understood = {
         "spec": canonical,
+        "isotropic": is_isotropic(brdf),
         "energy": check_energy(brdf).to_dict(),
         "reciprocity": check_reciprocity(brdf).to_dict(),
     }
