@@ -18,8 +18,12 @@ from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.base import COSINE_FLOOR
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity, directional_albedo
 from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.half_difference import directions_of
+from prtbake_workers.brdf.half_difference_table import bin_angles
 from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.brdf.merl import read_merl
 from prtbake_workers.brdf.registry import brdf_from_spec
+from support.merl_file import COLOURED, coloured_samples, merl_bytes
 
 EXTREMES = {
     "lambert_black": LambertSpec(albedo=0.0),
@@ -184,3 +188,54 @@ def test_rough_white_cavities_create_light_at_grazing_incidence_and_it_is_report
     assert check_energy(
         brdf_from_spec(OrenNayarSpec(albedo=0.98, sigma=0.21)), n_angles=5
     ).conserves
+
+
+@pytest.fixture(scope="module")
+def holed():
+    """A MERL table with samples of -1: below the horizon, in a block, and in one channel."""
+    samples = coloured_samples().copy()
+    samples[:, 30:34, 10:16, :] = -1.0
+    samples[2, 50, 30, 100] = -1.0
+    return read_merl(merl_bytes(samples))
+
+
+def test_merl_samples_of_minus_one_are_counted(holed):
+    _, report = holed
+    n_below = int((coloured_samples().min(axis=0) < 0).sum())
+    assert report.n_invalid_above_horizon == 4 * 6 * 180 + 1
+    assert report.n_invalid == n_below + 4 * 6 * 180 + 1
+    assert report.most_negative == pytest.approx(-1.66 / 1500)
+
+
+def test_merl_samples_of_minus_one_never_become_light(holed):
+    table, _ = holed
+    assert (table.values >= 0.0).all()
+    angles = bin_angles(90, 90, 90)
+    wi, wo = directions_of(
+        angles.theta_h[30:34], angles.theta_d[10:16], np.broadcast_to(angles.phi_d, (4, 6, 90))
+    )
+    filled, model = table.eval_brdf(wi, wo), brdf_from_spec(COLOURED).eval_brdf(wi, wo)
+    # the nearest valid bins are at most three away, where the lobe falls by a fifth a bin
+    assert (filled > 0.0).all()
+    assert np.abs(filled / model - 1).max() < 0.6
+    # twin: left as they were, or set to nothing, they would be far off
+    assert np.abs(0.0 / model - 1).min() == 1.0
+
+
+def test_grazing_light_on_a_merl_table(holed):
+    table, _ = holed
+    cosines = np.array([*TINY, 0.3, 0.9, 1.0])
+    for phi in (0.0, 1e-9, 1.0, np.pi / 2, np.pi):
+        value = table.eval_brdf(at(cosines)[:, None], at(cosines, phi)[None])
+        assert finite_and_not_negative(value)
+        assert value.max() <= table.values.max() * (1 + 1e-6)  # float32
+    assert not table.eval_brdf(at([0.5]), at([0.0, -0.5])).any()
+
+
+def test_a_merl_table_factorises_and_creates_no_light(holed):
+    table, _ = holed
+    assert check_reciprocity(table, n_pairs=500).max_relative == 0.0
+    assert check_energy(table, n_angles=5).conserves
+    found = factorise(table, n_terms=16, n_nodes=33)
+    assert np.isfinite(found.eval_phi_exact(at(TINY))).all()
+    assert 0.0 < found.energy_lost < 0.2

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, model_validator
 
-from prtbake_storage.contract.base import Fraction, Positive, Rgb, Wire
+from prtbake_storage.contract.base import Digest, Fraction, Positive, Rgb, Wire
 
 Reflectance = Fraction | Rgb
 """One number for grey, three for linear Rec.709."""
@@ -147,7 +147,24 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 """What a request or a JSON file may hold."""
 
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
+
+
+class MeasuredSpec(Wire):
+    """A measured BRDF; ``data`` names its canonical file.  Registering an upload makes it."""
+
+    model: Literal["measured"] = "measured"
+    format: Literal["merl"]
+    data: Digest
+
+
+StoredBrdfSpec = AnyBrdfSpec | MeasuredSpec
+"""What a registered BRDF may be: beside what requests hold, what names a blob."""
+
+stored_brdf_adapter: TypeAdapter[StoredBrdfSpec] = TypeAdapter(
+    Annotated[StoredBrdfSpec, Field(discriminator="model")]
+)
 __all__ = [
     "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe", "LafortuneSpec",
-    "LambertSpec", "OrenNayarSpec", "PhongSpec", "Positive", "WardSpec", "brdf_adapter",
+    "LambertSpec", "MeasuredSpec", "OrenNayarSpec", "PhongSpec", "Positive", "StoredBrdfSpec",
+    "WardSpec", "brdf_adapter", "stored_brdf_adapter",
 ]  # fmt: skip

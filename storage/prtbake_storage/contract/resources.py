@@ -67,7 +67,7 @@ class EnvironmentRegistration(Wire):
 
 
 class BrdfRegistration(Wire):
-    """Register a BRDF given as JSON, in the request or as a blob."""
+    """Register a BRDF: JSON in the request, or a file, whose format is told from its bytes."""
 
     blob: Digest | None = None
     spec: BrdfSpec | None = None
@@ -84,8 +84,8 @@ class BrdfRegistration(Wire):
 class Resource(Wire):
     """A parsed input; ``understood`` says what was found and repaired.
 
-    ``canonical`` names the blob that jobs read: a mesh or an environment as prtbake HDF5, a BRDF as
-    canonical JSON.
+    ``canonical`` names the blob that jobs read: a mesh, an environment or a measured BRDF as
+    prtbake HDF5, any other BRDF as canonical JSON.
     """
 
     id: str

@@ -116,7 +116,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
     factorisations = tuple(
         factorise(
-            load_brdf(spec),
+            load_brdf(store, spec),
             n_terms=settings.bake.n_terms,
             energy_lost=settings.bake.term_energy_lost if settings.bake.n_terms is None else None,
         )

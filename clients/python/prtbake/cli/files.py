@@ -87,7 +87,7 @@ def register_brdf(
     label: Annotated[str | None, typer.Option(help="A name for people.")] = None,
     output: OutputOption = Output.text,
 ) -> None:
-    """Register a BRDF given as JSON; prints what was understood."""
+    """Register a BRDF: JSON or a measurement (.binary); prints what was understood."""
     path = existing_file(file, "FILE")
     with client_of(context) as client:
         _print(client.add_brdf(path, label=label), output)

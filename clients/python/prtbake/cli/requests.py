@@ -29,7 +29,7 @@ Builder = Callable[..., Request]
 Action = Callable[..., None]
 
 Mesh = Annotated[str, typer.Option(help="FILE, builtin:teapot[:N], builtin:icosphere[:N] or id.")]
-Brdf = Annotated[str, typer.Option(help="FILE.json, 'cook_torrance,m=0.5,kd=0.3', JSON or id.")]
+Brdf = Annotated[str, typer.Option(help="FILE, 'cook_torrance,m=0.5,kd=0.3', JSON or id.")]
 Environment = Annotated[
     str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
 ]
@@ -285,7 +285,7 @@ def _scene(
     mesh_format: str,
 ) -> Request:
     scene: Request = {
-        "brdf": brdf_value(brdf),
+        "brdf": brdf_value(client, brdf),
         "mesh": mesh_id(client, mesh, format=mesh_format),
         "effects": key_values(effects or []),
     }

@@ -1,0 +1,111 @@
+"""Task of ``register``: read a BRDF from JSON or from a measurement's file, and check it."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from prtbake_storage.blobs.base import canonical_json
+from prtbake_storage.contract.brdf import MeasuredSpec, StoredBrdfSpec, brdf_adapter
+from prtbake_storage.contract.resources import BrdfRegistration
+from prtbake_storage.errors import BrdfError
+from prtbake_storage.hdf5.brdf import BrdfFile, write_brdf
+from prtbake_storage.queue.context import TaskContext
+from prtbake_workers.brdf.base import Brdf, is_isotropic
+from prtbake_workers.brdf.checks import check_energy, check_reciprocity
+from prtbake_workers.brdf.merl import is_merl, read_merl
+from prtbake_workers.brdf.registry import brdf_from_spec
+
+MAX_JSON_BYTES = 1 << 20
+MAX_FILE_BYTES = 256 << 20
+"""Largest file read; an isotropic measurement is a tenth of it."""
+
+N_ANGLES = 17
+"""Angles of light at which the albedo is taken: somebody waits for it."""
+
+
+class Understood(NamedTuple):
+    """A BRDF, what stands for it in jobs, and what its file held."""
+
+    brdf: Brdf
+    spec: StoredBrdfSpec
+    canonical: str
+    facts: dict[str, Any]
+
+
+def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: read a BRDF; check its energy, its reciprocity and its isotropy."""
+    registration = BrdfRegistration.model_validate(args)
+    if registration.spec is not None:
+        found = _from_spec(registration.spec, context)
+    else:
+        assert registration.blob is not None  # the contract holds exactly one source
+        try:
+            found = _from_file(registration.blob, context)
+        except BrdfError as error:
+            raise BrdfError(error.detail, pointer="/blob") from error
+    return {
+        "understood": {
+            "spec": found.spec.model_dump(mode="json"),
+            **found.facts,
+            "isotropic": is_isotropic(found.brdf),
+            "energy": check_energy(found.brdf, n_angles=N_ANGLES).to_dict(),
+            "reciprocity": check_reciprocity(found.brdf).to_dict(),
+        },
+        "canonical": found.canonical,
+    }
+
+
+def _from_file(blob: str, context: TaskContext) -> Understood:
+    """Tell the format from the bytes and read it."""
+    size = context.store.size(blob)
+    if size > MAX_FILE_BYTES:
+        raise BrdfError(f"a BRDF file has at most {MAX_FILE_BYTES} bytes, this one {size}")
+    data = context.store.read_bytes(blob)
+    for recognises, read in _READERS:
+        if recognises(data):
+            return read(data, context)
+    raise BrdfError(
+        "the file is neither JSON nor a MERL table (.binary)" if data else "the file is empty"
+    )
+
+
+def _is_json(data: bytes) -> bool:
+    return data[:256].lstrip().startswith(b"{")
+
+
+def _from_json(data: bytes, context: TaskContext) -> Understood:
+    if len(data) > MAX_JSON_BYTES:
+        raise BrdfError(f"a BRDF file holds JSON of at most {MAX_JSON_BYTES} bytes")
+    try:
+        spec = brdf_adapter.validate_json(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = "/".join(str(step) for step in first["loc"])
+        raise BrdfError(f"{first['msg']} (at {place or 'the top'})") from error
+    return _from_spec(spec, context)
+
+
+def _from_spec(spec: Any, context: TaskContext) -> Understood:
+    canonical = context.store.put_bytes(canonical_json(spec.model_dump(mode="json")).encode())
+    return Understood(brdf_from_spec(spec), spec, canonical, {})
+
+
+def _from_merl(data: bytes, context: TaskContext) -> Understood:
+    table, report = read_merl(data)
+    file = BrdfFile("half_difference", {"values": table.values}, report.to_dict())
+    canonical = _put(file, context)
+    spec = MeasuredSpec(format="merl", data=canonical)
+    return Understood(table, spec, canonical, {"format": "merl", "file": report.to_dict()})
+
+
+def _put(file: BrdfFile, context: TaskContext) -> str:
+    path = context.scratch / "brdf.h5"
+    write_brdf(path, file)
+    return context.store.put_file(path, move=True)
+
+
+_READERS: tuple[tuple[Callable[[bytes], bool], Callable[[bytes, TaskContext], Understood]], ...] = (
+    (_is_json, _from_json),
+    (is_merl, _from_merl),
+)
