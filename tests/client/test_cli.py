@@ -95,6 +95,10 @@ def test_a_brdf_is_inline_json_or_a_file_to_register(
     # one registration each: the mesh with the first, the measurement with the second
     assert submitted(spec)["alpha_x"] == 0.1
     assert submitted(measured).startswith("brdf-")
+    # a row of a table
+    resource = submitted(Path(f"{measured}#gold-paint"))
+    found = service.backend.resources.get(resource)
+    assert found.request["material"] == "gold-paint"
 
 
 def test_submit_a_file(run: Run, environment: str, tmp_path: Path) -> None:

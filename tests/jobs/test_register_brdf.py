@@ -5,6 +5,7 @@ import json
 import pytest
 
 from prtbake_storage.errors import BrdfError
+from support.keras_file import network
 from support.local_stages import registered
 
 
@@ -39,6 +40,39 @@ def test_json_in_a_file_is_the_same_as_in_the_request(store):
     assert from_file == registered(store, "brdf", spec=spec)
 
 
+TABLE = b"name,kD_r,kD_g,kD_b,A_r,A_g,A_b,B,C,ior\npaint,0.1,0.2,0.3,5,5,5,500,1.5,1.4\n"
+
+
+def test_a_material_of_a_table_becomes_its_spec(store):
+    found = add(store, TABLE, material="paint")["understood"]
+    assert (found["spec"]["model"], found["spec"]["kd"]) == ("abc", [0.1, 0.2, 0.3])
+    assert (found["format"], found["material"]) == ("fit_table", "paint")
+    assert found["energy"]["normal_albedo"][2] > found["energy"]["normal_albedo"][0]
+
+
+@pytest.mark.parametrize(
+    ("data", "material", "says"),
+    [
+        (TABLE, None, "name a material of the table: paint"),
+        (TABLE, "gold", "no material 'gold' in the table: paint"),
+        (b'{"model": "lambert"}', "gold", "one BRDF: it has no materials"),
+    ],
+)
+def test_a_material_that_is_not_there_is_the_fields_fault(store, data, material, says):
+    with pytest.raises(BrdfError, match=says) as caught:
+        add(store, data, material=material)
+    assert caught.value.pointer == "/material"
+
+
+def test_a_network_is_made_symmetric_and_what_it_was_is_told(store):
+    found = add(store, network())["understood"]
+    assert found["format"] == "nbrdf"
+    assert found["spec"]["model"] == "nbrdf"
+    assert found["reciprocity"]["reciprocal"]
+    assert not found["as_given"]["reciprocity"]["reciprocal"]
+    assert 0.0 < found["as_given"]["asymmetry"] < 1.0
+
+
 @pytest.mark.parametrize(
     ("data", "says"),
     [
@@ -47,6 +81,9 @@ def test_json_in_a_file_is_the_same_as_in_the_request(store):
         (b'{"model": "lafortune", "lobes": [{"exponent": -1}]}', "lobes/0/exponent"),
         (b'{"model": ', "JSON"),
         (b'{"model": "lambert"}' + b" " * (1 << 20), "at most"),
+        (b"", "empty"),
+        (b"\x00\x01 something else", "none of JSON"),
+        (network()[:3000], "HDF5"),
     ],
 )
 def test_a_refusal_says_what_and_where(store, data, says):

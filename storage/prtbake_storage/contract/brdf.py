@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter, model_validator
 
 from prtbake_storage.contract.base import Digest, Fraction, Positive, Rgb, Wire
+from prtbake_storage.contract.brdf_fits import AbcSpec, NbrdfSpec, SgdSpec
 
 Reflectance = Fraction | Rgb
 """One number for grey, three for linear Rec.709."""
@@ -142,6 +143,9 @@ AnyBrdfSpec = (
     | OrenNayarSpec
     | WardSpec
     | LafortuneSpec
+    | SgdSpec
+    | AbcSpec
+    | NbrdfSpec
 )
 BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 """What a request or a JSON file may hold."""
@@ -164,7 +168,7 @@ stored_brdf_adapter: TypeAdapter[StoredBrdfSpec] = TypeAdapter(
     Annotated[StoredBrdfSpec, Field(discriminator="model")]
 )
 __all__ = [
-    "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe", "LafortuneSpec",
-    "LambertSpec", "MeasuredSpec", "OrenNayarSpec", "PhongSpec", "Positive", "StoredBrdfSpec",
-    "WardSpec", "brdf_adapter", "stored_brdf_adapter",
+    "AbcSpec", "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe",
+    "LafortuneSpec", "LambertSpec", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec", "PhongSpec",
+    "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter", "stored_brdf_adapter",
 ]  # fmt: skip

@@ -71,6 +71,8 @@ class BrdfRegistration(Wire):
 
     blob: Digest | None = None
     spec: BrdfSpec | None = None
+    material: str | None = Field(default=None, max_length=100)
+    """Row of a table that holds several."""
     filename: str | None = Field(default=None, max_length=255)
     label: str | None = Field(default=None, max_length=200)
 
@@ -78,6 +80,8 @@ class BrdfRegistration(Wire):
     def _one_source(self) -> "BrdfRegistration":
         if (self.blob is None) == (self.spec is None):
             raise ValueError("give exactly one of blob and spec")
+        if self.material is not None and self.blob is None:
+            raise ValueError("material names a row of a table, which must be a blob")
         return self
 
 

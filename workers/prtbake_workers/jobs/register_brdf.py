@@ -13,8 +13,12 @@ from prtbake_storage.hdf5.brdf import BrdfFile, write_brdf
 from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
+from prtbake_workers.brdf.distance import brdf_distance
+from prtbake_workers.brdf.fit_tables import is_fit_table, read_fit_table
 from prtbake_workers.brdf.merl import is_merl, read_merl
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.brdf.symmetrised import Symmetrised
+from prtbake_workers.jobs.keras_weights import is_hdf5, read_keras_weights
 
 MAX_JSON_BYTES = 1 << 20
 MAX_FILE_BYTES = 256 << 20
@@ -41,13 +45,14 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     else:
         assert registration.blob is not None  # the contract holds exactly one source
         try:
-            found = _from_file(registration.blob, context)
+            found = _from_file(registration.blob, registration.material, context)
         except BrdfError as error:
-            raise BrdfError(error.detail, pointer="/blob") from error
+            raise BrdfError(error.detail, pointer=error.pointer or "/blob") from error
     return {
         "understood": {
             "spec": found.spec.model_dump(mode="json"),
             **found.facts,
+            **_as_given(found.brdf),
             "isotropic": is_isotropic(found.brdf),
             "energy": check_energy(found.brdf, n_angles=N_ANGLES).to_dict(),
             "reciprocity": check_reciprocity(found.brdf).to_dict(),
@@ -56,17 +61,34 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     }
 
 
-def _from_file(blob: str, context: TaskContext) -> Understood:
+def _as_given(brdf: Brdf) -> dict[str, Any]:
+    """Tell what was averaged away of a BRDF that had to be made symmetric."""
+    if not isinstance(brdf, Symmetrised):
+        return {}
+    asymmetry = brdf_distance(brdf.original, brdf).relative_l2
+    reciprocity = check_reciprocity(brdf.original).to_dict()
+    return {"as_given": {"asymmetry": asymmetry, "reciprocity": reciprocity}}
+
+
+def _from_file(blob: str, material: str | None, context: TaskContext) -> Understood:
     """Tell the format from the bytes and read it."""
     size = context.store.size(blob)
     if size > MAX_FILE_BYTES:
         raise BrdfError(f"a BRDF file has at most {MAX_FILE_BYTES} bytes, this one {size}")
     data = context.store.read_bytes(blob)
+    if is_fit_table(data):
+        found = _from_spec(read_fit_table(data, material), context)
+        return found._replace(facts={"format": "fit_table", "material": material})
+    if material is not None:
+        raise BrdfError("the file holds one BRDF: it has no materials", pointer="/material")
     for recognises, read in _READERS:
         if recognises(data):
             return read(data, context)
     raise BrdfError(
-        "the file is neither JSON nor a MERL table (.binary)" if data else "the file is empty"
+        "the file is none of JSON, a table of SGD or ABC fits (.csv), an nbrdf network (.h5) and a "
+        "MERL table (.binary)"
+        if data
+        else "the file is empty"
     )
 
 
@@ -91,6 +113,10 @@ def _from_spec(spec: Any, context: TaskContext) -> Understood:
     return Understood(brdf_from_spec(spec), spec, canonical, {})
 
 
+def _from_keras(data: bytes, context: TaskContext) -> Understood:
+    return _from_spec(read_keras_weights(data), context)._replace(facts={"format": "nbrdf"})
+
+
 def _from_merl(data: bytes, context: TaskContext) -> Understood:
     table, report = read_merl(data)
     file = BrdfFile("half_difference", {"values": table.values}, report.to_dict())
@@ -107,5 +133,6 @@ def _put(file: BrdfFile, context: TaskContext) -> str:
 
 _READERS: tuple[tuple[Callable[[bytes], bool], Callable[[bytes, TaskContext], Understood]], ...] = (
     (_is_json, _from_json),
+    (is_hdf5, _from_keras),
     (is_merl, _from_merl),
 )

@@ -29,7 +29,7 @@ Builder = Callable[..., Request]
 Action = Callable[..., None]
 
 Mesh = Annotated[str, typer.Option(help="FILE, builtin:teapot[:N], builtin:icosphere[:N] or id.")]
-Brdf = Annotated[str, typer.Option(help="FILE, 'cook_torrance,m=0.5,kd=0.3', JSON or id.")]
+Brdf = Annotated[str, typer.Option(help="FILE[#MATERIAL], 'ggx,alpha=0.3,f0=0.9', JSON or id.")]
 Environment = Annotated[
     str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
 ]

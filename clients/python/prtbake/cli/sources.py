@@ -3,7 +3,7 @@
 ::
 
     mesh          FILE | builtin:teapot[:N] | builtin:icosphere[:N] | mesh-0123456789abcdef
-    brdf          FILE | MODEL,key=value,... | {"model": ...} | brdf-0123456789abcdef
+    brdf          FILE[#MATERIAL] | MODEL,key=value,... | {"model": ...} | brdf-0123456789abcdef
     environment   FILE | builtin:NAME[,key=value,...] | environment-0123456789abcdef
 """
 
@@ -59,7 +59,7 @@ def environment_id(client: Client, source: str, **options: object) -> str:
 def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
     """Return the BRDF that an argument means: an id, or the JSON that describes it.
 
-    A file that holds no JSON is a measurement: it is registered.
+    A file that holds no JSON is registered; ``FILE#MATERIAL`` names one row of a table of fits.
     """
     if _RESOURCE.fullmatch(source):
         return source
@@ -68,6 +68,9 @@ def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
     model, *pairs = source.split(",")
     if model in _MODELS:
         return _checked({"model": model, **key_values(pairs)})
+    name, hash_, material = source.rpartition("#")
+    if hash_ and not Path(source).expanduser().is_file():
+        return client.add_brdf(existing_file(name, "--brdf"), material=material).id
     path = existing_file(source, "--brdf")
     if is_json(path):
         return _brdf(path.read_text())
