@@ -36,11 +36,11 @@ def fits(data_dir):
     ("material", "sgd", "abc", "between"),
     [
         ("teflon", 0.178, 0.090, 0.176),
-        ("blue-rubber", 0.155, 0.147, 0.176),
+        ("blue-rubber", 0.154, 0.146, 0.176),
         ("gold-paint", 0.108, 0.151, 0.169),
-        ("pink-felt", 0.098, 0.078, 0.081),
-        ("red-plastic", 0.123, 0.157, 0.100),
-        ("pvc", 0.464, 0.186, 0.331),
+        ("pink-felt", 0.099, 0.078, 0.081),
+        ("red-plastic", 0.120, 0.155, 0.100),
+        ("pvc", 0.462, 0.185, 0.331),
         ("chrome", 0.678, 0.237, 0.715),
     ],
 )
@@ -68,8 +68,8 @@ def test_the_fits_agree_on_the_median_material(fits):
     assert len(found) == 100
     ratio = np.median([[d.median_ratio for d in row] for row in found], axis=0)
     error = np.median([[d.relative_l2 for d in row] for row in found], axis=0)
-    np.testing.assert_allclose(ratio, [1.09, 1.03, 1.03], atol=0.01)
-    np.testing.assert_allclose(error, [0.293, 0.139, 0.291], atol=0.002)
+    np.testing.assert_allclose(ratio, [1.08, 1.03, 1.03], atol=0.01)
+    np.testing.assert_allclose(error, [0.291, 0.139, 0.291], atol=0.002)
 
 
 def test_albedo_of_the_networks_is_what_their_makers_files_give(fits):
@@ -78,6 +78,24 @@ def test_albedo_of_the_networks_is_what_their_makers_files_give(fits):
     white = directional_albedo(fits("white-paint")[2], cosines)
     np.testing.assert_allclose(white[0], [0.350, 0.340, 0.329], rtol=0.01)
     assert directional_albedo(fits("chrome")[2], cosines).max() == pytest.approx(0.10, abs=0.01)
+
+
+def test_networks_of_the_epfls_materials_are_read(data_dir):
+    """Their outputs reach -0.64, which must not become light."""
+    networks = zipfile.ZipFile(data_dir / "brdfs" / "rgl-isotropic_nbrdf.zip")
+    names = [name for name in networks.namelist() if name.endswith(".h5")]
+    assert len(names) == 51
+    cos = np.linspace(0.05, 1.0, 20)
+    sin = np.sqrt(1 - cos * cos)
+    wi = np.stack([sin, 0 * sin, cos], axis=-1)[:, None]
+    wo = np.stack([-sin, 0 * sin, cos], axis=-1)[None]
+    largest = 0.0
+    for name in names:
+        value = brdf_from_spec(read_keras_weights(networks.read(name))).eval_brdf(wi, wo)
+        assert np.isfinite(value).all()
+        assert (value >= 0.0).all()
+        largest = max(largest, value.max())
+    assert largest > 1000.0
 
 
 def test_every_fit_is_finite_at_grazing_light_and_view(fits):

@@ -2,11 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from prtbake_storage.errors import BrdfError
+from prtbake_workers.brdf.ggx import Ggx
+from prtbake_workers.jobs.inputs import load_brdf
 from support.keras_file import network
 from support.local_stages import registered
+from support.tensor_file import ggx_fields, tensor_bytes
 
 
 def add(store, data, **registration):
@@ -73,6 +77,21 @@ def test_a_network_is_made_symmetric_and_what_it_was_is_told(store):
     assert 0.0 < found["as_given"]["asymmetry"] < 1.0
 
 
+def test_a_tensor_file_becomes_a_measured_brdf(store):
+    ggx = Ggx(np.zeros(3), np.ones(3), 0.5, np.array([0.9, 0.5, 0.2]))
+    fields = ggx_fields(ggx, 0.5, n_lights=6, n=16, n_normals=48, n_rows=12)
+    found = add(store, tensor_bytes(fields), filename="ggx_rgb.bsdf")
+    understood = found["understood"]
+    assert understood["spec"] == {"model": "measured", "format": "rgl", "data": found["canonical"]}
+    assert understood["file"]["n_lights"] == 6
+    assert understood["reciprocity"]["reciprocal"]
+    assert not understood["as_given"]["reciprocity"]["reciprocal"]
+    assert 0.0 < understood["as_given"]["asymmetry"] < 0.05
+    loaded = load_brdf(store, understood["spec"])
+    up = np.array([[0.0, 0.6, 0.8]])
+    np.testing.assert_allclose(loaded.eval_brdf(up, up), ggx.eval_brdf(up, up), rtol=0.02)
+
+
 @pytest.mark.parametrize(
     ("data", "says"),
     [
@@ -84,6 +103,7 @@ def test_a_network_is_made_symmetric_and_what_it_was_is_told(store):
         (b"", "empty"),
         (b"\x00\x01 something else", "none of JSON"),
         (network()[:3000], "HDF5"),
+        (b"tensor_file\0\1\0\xff\xff\xff\xff", "promises 4294967295 fields"),
     ],
 )
 def test_a_refusal_says_what_and_where(store, data, says):

@@ -23,6 +23,18 @@ def test_a_table_comes_back(table: np.ndarray, tmp_path: Path) -> None:
     assert back.arrays["values"].dtype == np.float32
 
 
+def test_every_array_of_a_tensor_file_comes_back(rng: np.random.Generator, tmp_path: Path) -> None:
+    shapes = {
+        "theta_i": (4,), "sigma": (6,), "ndf": (3, 6), "vndf": (4, 3, 6), "rgb": (4, 5, 5, 3),
+    }  # fmt: skip
+    arrays = {name: rng.random(shape).astype(np.float32) for name, shape in shapes.items()}
+    write_brdf(tmp_path / "b.h5", BrdfFile("rgl", arrays))
+    back = read_brdf(tmp_path / "b.h5")
+    assert set(back.arrays) == set(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(back.arrays[name], array)
+
+
 def test_equal_content_is_equal_bytes(table: np.ndarray, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_brdf(tmp_path / name, BrdfFile("half_difference", {"values": table}))

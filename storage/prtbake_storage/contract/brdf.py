@@ -153,11 +153,14 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
 
 
+MeasuredFormat = Literal["merl", "rgl"]
+
+
 class MeasuredSpec(Wire):
     """A measured BRDF; ``data`` names its canonical file.  Registering an upload makes it."""
 
     model: Literal["measured"] = "measured"
-    format: Literal["merl"]
+    format: MeasuredFormat
     data: Digest
 
 
@@ -169,6 +172,7 @@ stored_brdf_adapter: TypeAdapter[StoredBrdfSpec] = TypeAdapter(
 )
 __all__ = [
     "AbcSpec", "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe",
-    "LafortuneSpec", "LambertSpec", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec", "PhongSpec",
-    "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter", "stored_brdf_adapter",
+    "LafortuneSpec", "LambertSpec", "MeasuredFormat", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec",
+    "PhongSpec", "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter",
+    "stored_brdf_adapter",
 ]  # fmt: skip

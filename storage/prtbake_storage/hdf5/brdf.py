@@ -13,6 +13,13 @@ from prtbake_storage.hdf5 import primitives as h5
 
 AXES: Mapping[str, Mapping[str, str]] = {
     "half_difference": {"values": "theta_h theta_d phi_d channels"},
+    "rgl": {
+        "theta_i": "lights",
+        "sigma": "angles",
+        "ndf": "rows columns",
+        "vndf": "lights rows columns",
+        "rgb": "lights up along channels",
+    },
 }
 """Arrays of each parametrisation, with the names of their axes."""
 

@@ -16,8 +16,9 @@ RECIPROCITY_TOLERANCE = 1e-9
 ENERGY_TOLERANCE = 1e-4
 """Slack of the test for an albedo of at most 1; the quadrature is off by less than 1e-6."""
 
-NODES_A_PANEL, N_PANELS = 8, 26
-"""Quadrature of the albedo: the last panel ends 3e-8 from the mirror direction."""
+NODES_A_PANEL, N_PANELS, MAX_PANELS = 8, 16, 26
+"""Quadrature of the albedo: at normal light the last panel ends 3e-5 from the mirror direction; at
+grazing light, where lobes narrow like the cosine, 3e-8."""
 
 N_RETRO_PANELS = 10
 """The same towards the light itself: 1.5e-3 rad, a sixth of the sharpest retro-reflector's lobe."""
@@ -77,16 +78,19 @@ def directional_albedo(
 ) -> Float64[F64, "n channels"]:
     """Integrate ``rho(wi, wo) cos_o`` over the upper hemisphere, for light from ``azimuth``.
 
+    The cosines of the light must be above 0.
+
     The nodes crowd geometrically towards the mirror direction from all sides, so that lobes of any
     width are resolved, those at grazing light (narrower than the cosine itself) included, and less
     so towards the light.
     """
-    turn, phi_weight = _azimuth_nodes(brdf)
-    phi = azimuth + turn
     albedo = np.zeros((len(cos_i), brdf.n_channels))
     for row, cosine in enumerate(cos_i):
-        above, above_weight = _graded_nodes(1.0 - cosine, N_PANELS, MAX_PANEL_COSINE)
-        below, below_weight = _graded_nodes(cosine, N_PANELS, MAX_PANEL_COSINE)
+        n_panels = min(MAX_PANELS, N_PANELS - int(np.log2(cosine)))
+        turn, phi_weight = _azimuth_nodes(n_panels, isotropic=is_isotropic(brdf))
+        phi = azimuth + turn
+        above, above_weight = _graded_nodes(1.0 - cosine, n_panels, MAX_PANEL_COSINE)
+        below, below_weight = _graded_nodes(cosine, n_panels, MAX_PANEL_COSINE)
         cos_o = np.concatenate([cosine + above, cosine - below])
         weight = np.concatenate([above_weight, below_weight]) * cos_o
         sine_i, sine_o = np.sqrt(1.0 - cosine**2), np.sqrt(1.0 - cos_o**2)[:, None]
@@ -97,15 +101,16 @@ def directional_albedo(
     return albedo
 
 
-def _azimuth_nodes(brdf: Brdf) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
+def _azimuth_nodes(
+    n_panels: int, *, isotropic: bool
+) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
     """Nodes of the view's azimuth relative to the light's, over the whole circle.
 
     An isotropic BRDF is even in it, and half the circle does.
     """
-    isotropic = is_isotropic(brdf)
     widest = np.pi if isotropic else MAX_PANEL_AZIMUTH
     near, near_weight = _graded_nodes(0.5 * np.pi, N_RETRO_PANELS, widest)
-    far, far_weight = _graded_nodes(0.5 * np.pi, N_PANELS, widest)
+    far, far_weight = _graded_nodes(0.5 * np.pi, n_panels, widest)
     half = np.concatenate([near, np.pi - far])
     weight = np.concatenate([near_weight, far_weight])
     if isotropic:

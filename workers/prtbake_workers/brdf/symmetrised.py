@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.base import Brdf, clamped_cosines
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 """Reflection in the plane of x and z; of an isotropic BRDF any plane through the normal does."""
@@ -13,11 +13,12 @@ MIRROR = np.array([1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Symmetrised:
-    """Mean of a BRDF over the exchange of its directions and over its mirror image.
+    """Mean of a BRDF over its mirror image and over the exchange of its directions.
 
     Networks and tensor files keep neither symmetry exactly, while transfer is factorised for BRDFs
-    that have both.  The mean is the closest BRDF with them in the L2 norm, and it creates no light
-    where the original creates none.
+    that have both.  The two orders of light and view weigh as the cosine of their view, which makes
+    the mean the closest BRDF with both symmetries in the norm of reflected light, and keeps it
+    finite where a file states rho cos_o and rho itself divides by a small cosine.
 
     Attributes
     ----------
@@ -36,10 +37,15 @@ class Symmetrised:
         self, wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
     ) -> Float64[F64, "... channels"]:
         """Evaluate in 1/sr; 0 below the horizon."""
-        flipped_i, flipped_o = wi * MIRROR, wo * MIRROR
-        # summed by pairs, so that exchanging wi and wo does not even change the rounding
-        given = self.original.eval_brdf(wi, wo) + self.original.eval_brdf(wo, wi)
-        mirrored = self.original.eval_brdf(flipped_i, flipped_o) + self.original.eval_brdf(
-            flipped_o, flipped_i
-        )
-        return 0.25 * (given + mirrored)
+        both = self._weighted(wi, wo) + self._weighted(wi * MIRROR, wo * MIRROR)
+        cos_i, cos_o = clamped_cosines(wi, wo)
+        mean: F64 = 0.5 * both / (cos_i + cos_o)[..., None]
+        return mean
+
+    def _weighted(
+        self, wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
+    ) -> Float64[F64, "... channels"]:
+        """Both orders; exchanging wi and wo does not even change the rounding."""
+        cos_i, cos_o = (cosine[..., None] for cosine in clamped_cosines(wi, wo))
+        given = cos_o * self.original.eval_brdf(wi, wo)
+        return given + cos_i * self.original.eval_brdf(wo, wi)

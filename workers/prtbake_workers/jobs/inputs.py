@@ -14,6 +14,8 @@ from prtbake_workers.arrays import F32
 from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.half_difference_table import HalfDifferenceTable
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.brdf.rgl import RglTensor
+from prtbake_workers.brdf.symmetrised import Symmetrised
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.render.images import read_albedo_texture
@@ -42,6 +44,8 @@ def load_brdf(store: BlobStore, spec: dict[str, Any]) -> Brdf:
 
 def measured_brdf(file: BrdfFile) -> Brdf:
     """Make the BRDF of a canonical file."""
+    if file.parametrisation == "rgl":
+        return Symmetrised(RglTensor(**file.arrays))
     return HalfDifferenceTable(file.arrays["values"])
 
 

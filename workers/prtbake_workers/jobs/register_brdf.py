@@ -6,10 +6,15 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from prtbake_storage.blobs.base import canonical_json
-from prtbake_storage.contract.brdf import MeasuredSpec, StoredBrdfSpec, brdf_adapter
+from prtbake_storage.contract.brdf import (
+    MeasuredFormat,
+    MeasuredSpec,
+    StoredBrdfSpec,
+    brdf_adapter,
+)
 from prtbake_storage.contract.resources import BrdfRegistration
 from prtbake_storage.errors import BrdfError
-from prtbake_storage.hdf5.brdf import BrdfFile, write_brdf
+from prtbake_storage.hdf5.brdf import AXES, BrdfFile, write_brdf
 from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
@@ -17,15 +22,18 @@ from prtbake_workers.brdf.distance import brdf_distance
 from prtbake_workers.brdf.fit_tables import is_fit_table, read_fit_table
 from prtbake_workers.brdf.merl import is_merl, read_merl
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.brdf.rgl import rgl_from_tensors
 from prtbake_workers.brdf.symmetrised import Symmetrised
+from prtbake_workers.brdf.tensor_file import is_tensor_file, read_tensor_file
 from prtbake_workers.jobs.keras_weights import is_hdf5, read_keras_weights
 
 MAX_JSON_BYTES = 1 << 20
 MAX_FILE_BYTES = 256 << 20
 """Largest file read; an isotropic measurement is a tenth of it."""
 
-N_ANGLES = 17
-"""Angles of light at which the albedo is taken: somebody waits for it."""
+N_ANGLES, N_ANGLES_SYMMETRISED = 17, 9
+"""Angles of light at which the albedo is taken: somebody waits for it, and a symmetrised BRDF takes
+four evaluations for one."""
 
 
 class Understood(NamedTuple):
@@ -54,11 +62,15 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             **found.facts,
             **_as_given(found.brdf),
             "isotropic": is_isotropic(found.brdf),
-            "energy": check_energy(found.brdf, n_angles=N_ANGLES).to_dict(),
+            "energy": check_energy(found.brdf, n_angles=_n_angles(found.brdf)).to_dict(),
             "reciprocity": check_reciprocity(found.brdf).to_dict(),
         },
         "canonical": found.canonical,
     }
+
+
+def _n_angles(brdf: Brdf) -> int:
+    return N_ANGLES_SYMMETRISED if isinstance(brdf, Symmetrised) else N_ANGLES
 
 
 def _as_given(brdf: Brdf) -> dict[str, Any]:
@@ -85,8 +97,8 @@ def _from_file(blob: str, material: str | None, context: TaskContext) -> Underst
         if recognises(data):
             return read(data, context)
     raise BrdfError(
-        "the file is none of JSON, a table of SGD or ABC fits (.csv), an nbrdf network (.h5) and a "
-        "MERL table (.binary)"
+        "the file is none of JSON, a table of SGD or ABC fits (.csv), an nbrdf network (.h5), a "
+        "MERL table (.binary) and a tensor file (.bsdf)"
         if data
         else "the file is empty"
     )
@@ -120,19 +132,28 @@ def _from_keras(data: bytes, context: TaskContext) -> Understood:
 def _from_merl(data: bytes, context: TaskContext) -> Understood:
     table, report = read_merl(data)
     file = BrdfFile("half_difference", {"values": table.values}, report.to_dict())
-    canonical = _put(file, context)
-    spec = MeasuredSpec(format="merl", data=canonical)
-    return Understood(table, spec, canonical, {"format": "merl", "file": report.to_dict()})
+    return _measured("merl", table, file, context)
 
 
-def _put(file: BrdfFile, context: TaskContext) -> str:
+def _from_tensors(data: bytes, context: TaskContext) -> Understood:
+    tensor, report = rgl_from_tensors(read_tensor_file(data))
+    arrays = {name: getattr(tensor, name) for name in AXES["rgl"]}
+    file = BrdfFile("rgl", arrays, report)
+    return _measured("rgl", Symmetrised(tensor), file, context)
+
+
+def _measured(name: MeasuredFormat, brdf: Brdf, file: BrdfFile, context: TaskContext) -> Understood:
+    """Write the canonical file and make the spec that names it."""
     path = context.scratch / "brdf.h5"
     write_brdf(path, file)
-    return context.store.put_file(path, move=True)
+    canonical = context.store.put_file(path, move=True)
+    spec = MeasuredSpec(format=name, data=canonical)
+    return Understood(brdf, spec, canonical, {"format": name, "file": dict(file.report)})
 
 
 _READERS: tuple[tuple[Callable[[bytes], bool], Callable[[bytes, TaskContext], Understood]], ...] = (
     (_is_json, _from_json),
     (is_hdf5, _from_keras),
+    (is_tensor_file, _from_tensors),
     (is_merl, _from_merl),
 )
