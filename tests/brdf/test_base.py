@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from prtbake_workers.brdf.base import LENGTH_FLOOR, Brdf, channels, half_vector, schlick
+from prtbake_workers.brdf.base import (
+    LENGTH_FLOOR,
+    Brdf,
+    channels,
+    half_vector,
+    is_isotropic,
+    schlick,
+)
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
 
 
@@ -66,6 +73,7 @@ def test_every_model_is_reciprocal_and_creates_no_light(brdf):
 
 @pytest.mark.parametrize("turn", [0.3, 2.0, -1.1])
 def test_every_model_is_isotropic(brdf, directions, turn):
+    assert is_isotropic(brdf)
     wi, wo = directions(100), directions(100, seed=2)
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

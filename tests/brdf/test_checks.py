@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
+from scipy.integrate import dblquad
 
-from prtbake_storage.contract.brdf import BlinnPhongSpec, CookTorranceSpec, GgxSpec, PhongSpec
+from prtbake_storage.contract.brdf import (
+    BlinnPhongSpec,
+    CookTorranceSpec,
+    GgxSpec,
+    LafortuneLobe,
+    LafortuneSpec,
+    PhongSpec,
+    WardSpec,
+)
 from prtbake_workers.brdf.base import above_horizon
 from prtbake_workers.brdf.checks import (
     check_energy,
@@ -61,6 +70,41 @@ def test_grazing_light_is_integrated_too():
     albedo = directional_albedo(brdf_from_spec(GgxSpec(alpha=0.1, f0=1.0)), np.array([1e-6, 1e-4]))
     assert (np.abs(1 - albedo[:, 0]) < [1e-4, 1e-2]).all()
     assert (albedo < 1 + 1e-6).all()
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 0.6, np.pi / 2])
+def test_an_anisotropic_lobe_is_integrated_at_every_azimuth(azimuth):
+    """Against a plain midpoint rule, which resolves lobes as wide as this."""
+    brdf = brdf_from_spec(WardSpec(alpha_x=0.5, alpha_y=0.2))
+    cosine = 0.6
+    z = (np.arange(400) + 0.5)[:, None] / 400
+    phi = 2 * np.pi * (np.arange(400) + 0.5) / 400
+    s = np.sqrt(1 - z * z)
+    wo = np.stack(np.broadcast_arrays(s * np.cos(phi), s * np.sin(phi), z), axis=-1)
+    wi = np.array([0.8 * np.cos(azimuth), 0.8 * np.sin(azimuth), cosine])[None, None]
+    plain = np.sum(brdf.eval_brdf(wi, wo)[..., 0] * z) * 2 * np.pi / 400**2
+    got = directional_albedo(brdf, np.array([cosine]), azimuth=azimuth)[0, 0]
+    # the midpoint rule of step 1 / 400 at the horizon, where the integrand ends
+    assert got == pytest.approx(plain, rel=1e-4)
+    other = directional_albedo(brdf, np.array([cosine]), azimuth=azimuth + 0.7)[0, 0]
+    assert abs(other / plain - 1) > 1e-3
+
+
+def test_a_lobe_off_the_mirror_direction_is_resolved():
+    """(cz wo.z)^n at normal light, and its pull to the normal elsewhere: against scipy's rule."""
+    lobe = LafortuneLobe(weight=100.0, cx=-0.4, cy=-0.4, cz=1.0, exponent=3000.0)
+    brdf = brdf_from_spec(LafortuneSpec(lobes=(lobe,)))
+
+    def integrand(phi, z):
+        s = np.sqrt(1 - z * z)
+        wo = np.array([s * np.cos(phi), s * np.sin(phi), z])
+        return brdf.eval_brdf(np.array([[0.6, 0.0, 0.8]]), wo[None])[0, 0] * z
+
+    # the peak: tan theta_o = 0.4 tan theta_i
+    top = 1 / np.hypot(1, 0.3)
+    plain = dblquad(integrand, top - 0.06, 1.0, np.pi - 0.4, np.pi, epsabs=1e-22)[0] * 2
+    got = directional_albedo(brdf, np.array([0.8]))[0, 0]
+    assert got == pytest.approx(plain, rel=1e-6)
 
 
 def test_reciprocity_tells_both_kinds_apart():

@@ -75,6 +75,32 @@ def test_submit_asset_from_words(
     assert request["albedo_texture"].startswith("sha256:")
 
 
+def test_a_brdf_is_inline_json_or_a_file_to_register(
+    run: Run, service: LiveService, environment: str, tmp_path: Path
+) -> None:
+    canonical = service.backend.blobs.put_bytes(b"parsed")
+    result = {"canonical": canonical, "understood": {"spec": {"model": "lambert"}}}
+    spec = tmp_path / "spec.json"
+    spec.write_text('\n {"model": "ward", "alpha_x": 0.1}')
+    measured = tmp_path / "paint.binary"
+    measured.write_bytes(b"\x5a\0\0\0 and so on")
+
+    def submitted(path: Path) -> Any:
+        service.answer_next("register", lambda job: service.succeed(job, result))
+        options = ["--mesh", "builtin:teapot:5", "--brdf", path]
+        made = run("submit", "bake", *options, "-o", "json")
+        assert made.exit_code == 0, made.output
+        return json.loads(made.stdout)["request"]["brdf"]
+
+    # one registration each: the mesh with the first, the measurement with the second
+    assert submitted(spec)["alpha_x"] == 0.1
+    assert submitted(measured).startswith("brdf-")
+    # a row of a table
+    resource = submitted(Path(f"{measured}#gold-paint"))
+    found = service.backend.resources.get(resource)
+    assert found.request["material"] == "gold-paint"
+
+
 def test_submit_a_file(run: Run, environment: str, tmp_path: Path) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps({"kind": "fit_light", "environment": environment}))

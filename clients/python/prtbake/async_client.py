@@ -299,7 +299,7 @@ class AsyncClient:
         return await self.register(MeshRegistration.model_validate(body))
 
     async def add_brdf(self, path: Path, **options: object) -> Resource:
-        """Upload a BRDF as JSON and register it; options are those of ``BrdfRegistration``."""
+        """Upload a BRDF file and register it; options are those of ``BrdfRegistration``."""
         upload = await self.upload(path)
         body = {"blob": upload.digest, "filename": path.name, **options}
         return await self.register(BrdfRegistration.model_validate(body))

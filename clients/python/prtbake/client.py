@@ -349,7 +349,7 @@ class Client:
         return self.register(MeshRegistration.model_validate(body))
 
     def add_brdf(self, path: Path, **options: object) -> Resource:
-        """Upload a BRDF as JSON and register it; options are those of ``BrdfRegistration``."""
+        """Upload a BRDF file and register it; options are those of ``BrdfRegistration``."""
         body = {"blob": self.upload(path).digest, "filename": path.name, **options}
         return self.register(BrdfRegistration.model_validate(body))
 

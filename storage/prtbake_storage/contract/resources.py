@@ -73,10 +73,12 @@ class EnvironmentRegistration(Wire):
 
 
 class BrdfRegistration(Wire):
-    """Register a BRDF given as JSON, in the request or as a blob."""
+    """Register a BRDF: JSON in the request, or a file, whose format is told from its bytes."""
 
     blob: Digest | None = None
     spec: BrdfSpec | None = None
+    material: str | None = Field(default=None, max_length=100)
+    """Row of a table that holds several."""
     filename: str | None = Field(default=None, max_length=255)
     label: Label | None = None
 
@@ -84,14 +86,16 @@ class BrdfRegistration(Wire):
     def _one_source(self) -> "BrdfRegistration":
         if (self.blob is None) == (self.spec is None):
             raise ValueError("give exactly one of blob and spec")
+        if self.material is not None and self.blob is None:
+            raise ValueError("material names a row of a table, which must be a blob")
         return self
 
 
 class Resource(Wire):
     """A parsed input; ``understood`` says what was found and repaired.
 
-    ``canonical`` names the blob that jobs read: a mesh or an environment as prtbake HDF5, a BRDF as
-    canonical JSON.
+    ``canonical`` names the blob that jobs read: a mesh, an environment or a measured BRDF as
+    prtbake HDF5, any other BRDF as canonical JSON.
     """
 
     id: str

@@ -8,6 +8,7 @@
     /basis/           centres; attributes kernel, bandwidth
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance
+    /brdf/            the arrays of a measured BRDF; attribute parametrisation
     /parts/<i>/       attributes name, vertex_start, vertex_stop, method
         material      JSON text
         clusters/     labels ranks light_bases dual_bases means components
@@ -22,7 +23,7 @@ found.  No times are written, so equal content is equal bytes.
 
 FORMAT = "prtbake"
 VERSION = 1
-KINDS = ("asset", "transfer", "light", "mesh", "environment")
+KINDS = ("asset", "transfer", "light", "mesh", "environment", "brdf")
 
 LIBVER = ("v110", "v110")
 """HDF5 1.10 (2016): the oldest whose metadata has checksums."""

@@ -22,7 +22,10 @@ LENGTH_FLOOR = 1e-12
 
 @runtime_checkable
 class Brdf(Protocol):
-    """A reciprocal, isotropic, mirror-symmetric BRDF of one or three channels."""
+    """A reciprocal BRDF of one or three channels.
+
+    Isotropic and mirror-symmetric, unless it is an `OrientedBrdf` that says otherwise.
+    """
 
     @property
     def n_channels(self) -> int:
@@ -37,6 +40,24 @@ class Brdf(Protocol):
         Leading axes, at least one, broadcast.
         """
         ...
+
+
+@runtime_checkable
+class OrientedBrdf(Brdf, Protocol):
+    """A BRDF that may depend on how the surface is turned about its normal; x is the tangent.
+
+    It is mirror-symmetric about x and about y.
+    """
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether its parameters leave it independent of that turn."""
+        ...
+
+
+def is_isotropic(brdf: Brdf) -> bool:
+    """Tell whether a common turn of light and view about the normal leaves the BRDF as it is."""
+    return not isinstance(brdf, OrientedBrdf) or brdf.is_isotropic
 
 
 class HalfVector(NamedTuple):

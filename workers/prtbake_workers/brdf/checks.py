@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf
+from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.hemisphere_grid import azimuthal_blocks, norm_of_order
 
@@ -16,8 +16,19 @@ RECIPROCITY_TOLERANCE = 1e-9
 ENERGY_TOLERANCE = 1e-4
 """Slack of the test for an albedo of at most 1; the quadrature is off by less than 1e-6."""
 
-NODES_A_PANEL, N_PANELS = 8, 26
-"""Quadrature of the albedo: the last panel ends 3e-8 from the mirror direction."""
+NODES_A_PANEL, N_PANELS, MAX_PANELS = 8, 16, 26
+"""Quadrature of the albedo: at normal light the last panel ends 3e-5 from the mirror direction; at
+grazing light, where lobes narrow like the cosine, 3e-8."""
+
+N_RETRO_PANELS = 10
+"""The same towards the light itself: 1.5e-3 rad, a sixth of the sharpest retro-reflector's lobe."""
+
+MAX_PANEL_COSINE, MAX_PANEL_AZIMUTH = 1 / 16, np.pi / 24
+"""Widest panels where a lobe may peak off these directions: their nodes lie closer than 0.01, the
+width of the sharpest lobe in the contract (exponent 10,000)."""
+
+AZIMUTHS = (0.0, 0.25 * np.pi, 0.5 * np.pi)
+"""Azimuths of the light at which an anisotropic BRDF's albedo is taken."""
 
 
 @dataclass(frozen=True)
@@ -62,32 +73,64 @@ class SeparableReport:
         return asdict(self)
 
 
-def directional_albedo(brdf: Brdf, cos_i: Float64[F64, " n"]) -> Float64[F64, "n channels"]:
-    """Integrate ``rho(wi, wo) cos_o`` over the upper hemisphere.
+def directional_albedo(
+    brdf: Brdf, cos_i: Float64[F64, " n"], *, azimuth: float = 0.0
+) -> Float64[F64, "n channels"]:
+    """Integrate ``rho(wi, wo) cos_o`` over the upper hemisphere, for light from ``azimuth``.
+
+    The cosines of the light must be above 0.
 
     The nodes crowd geometrically towards the mirror direction from all sides, so that lobes of any
-    width are resolved, those at grazing light (narrower than the cosine itself) included.
+    width are resolved, those at grazing light (narrower than the cosine itself) included, and less
+    so towards the light.
     """
-    from_mirror, phi_weight = _graded_nodes()
-    phi = np.pi * (1.0 - from_mirror)
     albedo = np.zeros((len(cos_i), brdf.n_channels))
     for row, cosine in enumerate(cos_i):
-        above, below = 1.0 - cosine, cosine
-        cos_o = np.concatenate([cosine + above * from_mirror, cosine - below * from_mirror])
-        weight = np.concatenate([above * phi_weight, below * phi_weight]) * cos_o
+        n_panels = min(MAX_PANELS, N_PANELS - int(np.log2(cosine)))
+        turn, phi_weight = _azimuth_nodes(n_panels, isotropic=is_isotropic(brdf))
+        phi = azimuth + turn
+        above, above_weight = _graded_nodes(1.0 - cosine, n_panels, MAX_PANEL_COSINE)
+        below, below_weight = _graded_nodes(cosine, n_panels, MAX_PANEL_COSINE)
+        cos_o = np.concatenate([cosine + above, cosine - below])
+        weight = np.concatenate([above_weight, below_weight]) * cos_o
         sine_i, sine_o = np.sqrt(1.0 - cosine**2), np.sqrt(1.0 - cos_o**2)[:, None]
-        wi = np.array([[[sine_i, 0.0, cosine]]])
+        wi = np.array([[[sine_i * np.cos(azimuth), sine_i * np.sin(azimuth), cosine]]])
         parts = np.broadcast_arrays(sine_o * np.cos(phi), sine_o * np.sin(phi), cos_o[:, None])
         value = brdf.eval_brdf(wi, np.stack(parts, axis=-1))
-        albedo[row] = 2.0 * np.pi * np.einsum("opc,o,p->c", value, weight, phi_weight)
+        albedo[row] = np.einsum("opc,o,p->c", value, weight, phi_weight)
     return albedo
 
 
-def _graded_nodes() -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
-    """Gauss nodes and weights on (0, 1], in panels that halve towards 0."""
+def _azimuth_nodes(
+    n_panels: int, *, isotropic: bool
+) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
+    """Nodes of the view's azimuth relative to the light's, over the whole circle.
+
+    An isotropic BRDF is even in it, and half the circle does.
+    """
+    widest = np.pi if isotropic else MAX_PANEL_AZIMUTH
+    near, near_weight = _graded_nodes(0.5 * np.pi, N_RETRO_PANELS, widest)
+    far, far_weight = _graded_nodes(0.5 * np.pi, n_panels, widest)
+    half = np.concatenate([near, np.pi - far])
+    weight = np.concatenate([near_weight, far_weight])
+    if isotropic:
+        return half, 2.0 * weight
+    return np.concatenate([half, -half]), np.concatenate([weight, weight])
+
+
+def _graded_nodes(
+    length: float, n_panels: int, widest: float
+) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
+    """Gauss nodes and weights on (0, length], in panels that halve towards 0, none too wide."""
     node, weight = np.polynomial.legendre.leggauss(NODES_A_PANEL)
-    top = 0.5 ** np.arange(N_PANELS)
+    top = length * 0.5 ** np.arange(n_panels)
     bottom = np.append(top[1:], 0.0)
+    edges = [
+        np.linspace(high, low, max(1, int(np.ceil((high - low) / widest))) + 1)
+        for high, low in zip(top, bottom, strict=True)
+    ]
+    top = np.concatenate([edge[:-1] for edge in edges])
+    bottom = np.concatenate([edge[1:] for edge in edges])
     width = (top - bottom)[:, None]
     nodes = bottom[:, None] + width * (node + 1.0) / 2.0
     return nodes.ravel(), (width * weight / 2.0).ravel()
@@ -96,13 +139,14 @@ def _graded_nodes() -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
 def check_energy(brdf: Brdf, *, n_angles: int = 33) -> EnergyReport:
     """Find the largest directional albedo; above 1 the surface would create light."""
     cos_i = np.maximum(np.linspace(0.0, 1.0, n_angles), COSINE_FLOOR)
-    albedo = directional_albedo(brdf, cos_i)
-    worst = int(albedo.max(axis=1).argmax())
-    top = float(albedo[worst].max())
+    azimuths = AZIMUTHS[:1] if is_isotropic(brdf) else AZIMUTHS
+    albedo = np.stack([directional_albedo(brdf, cos_i, azimuth=phi) for phi in azimuths])
+    worst = int(albedo.max(axis=(0, 2)).argmax())
+    top = float(albedo.max())
     return EnergyReport(
         max_albedo=top,
         cos_at_max=float(cos_i[worst]),
-        normal_albedo=tuple(float(value) for value in albedo[-1]),
+        normal_albedo=tuple(float(value) for value in albedo[0, -1]),
         conserves=top <= 1.0 + ENERGY_TOLERANCE,
     )
 

@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.arrays import F32, F64, Float64
-from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
@@ -131,6 +131,13 @@ def _factorise(
 
 def _check_isotropy(brdf: Brdf) -> None:
     """Refuse a BRDF that a common turn or a mirror changes: half circles would misread it."""
+    # a sharp lobe would hide its anisotropy from the few directions below
+    if not is_isotropic(brdf):
+        raise BrdfError(
+            "the BRDF is anisotropic: glossy separable transfer factorises it by azimuth and takes "
+            "isotropic BRDFs only; glossy matrix transfer (spherical harmonics in tangent frames) "
+            "serves it"
+        )
     theta = np.array([0.2, 0.7, 1.2])
     turn = np.array([0.0, 1.0, 2.5])
     delta = 0.8

@@ -132,7 +132,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
     factorisations = tuple(
         factorise(
-            load_brdf(spec),
+            load_brdf(store, spec),
             n_terms=n_terms,
             energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
         )

@@ -4,12 +4,16 @@ from importlib import metadata
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.brdf import brdf_adapter
+from prtbake_storage.contract.brdf import MeasuredSpec, stored_brdf_adapter
 from prtbake_storage.errors import InputError
+from prtbake_storage.hdf5.brdf import BrdfFile, read_brdf
 from prtbake_storage.hdf5.resources import read_environment, read_mesh
 from prtbake_workers.arrays import F32
 from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.half_difference_table import HalfDifferenceTable
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.brdf.rgl import RglTensor
+from prtbake_workers.brdf.symmetrised import Symmetrised
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.render.images import read_albedo_texture
@@ -28,9 +32,19 @@ def load_environment(store: BlobStore, digest: str) -> Environment:
     return Environment(read_environment(store.local_path(digest)).radiance)
 
 
-def load_brdf(spec: dict[str, Any]) -> Brdf:
-    """Make the BRDF that a JSON spec describes."""
-    return brdf_from_spec(brdf_adapter.validate_python(spec))
+def load_brdf(store: BlobStore, spec: dict[str, Any]) -> Brdf:
+    """Make the BRDF that a JSON spec describes, from the blob that it names if it is measured."""
+    stored = stored_brdf_adapter.validate_python(spec)
+    if isinstance(stored, MeasuredSpec):
+        return measured_brdf(read_brdf(store.local_path(stored.data)))
+    return brdf_from_spec(stored)
+
+
+def measured_brdf(file: BrdfFile) -> Brdf:
+    """Make the BRDF of a canonical file."""
+    if file.parametrisation == "rgl":
+        return Symmetrised(RglTensor(**file.arrays))
+    return HalfDifferenceTable(file.arrays["values"])
 
 
 def load_texture(store: BlobStore, digest: str) -> F32:

@@ -1,19 +1,10 @@
 """Quick job ``register``: parse an upload in a limited child and store its canonical form."""
 
-import json
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from prtbake_storage.blobs.base import canonical_json
-from prtbake_storage.contract.brdf import brdf_adapter
-from prtbake_storage.contract.resources import (
-    BrdfRegistration,
-    EnvironmentRegistration,
-    MeshRegistration,
-)
-from prtbake_storage.errors import BrdfError
+from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
 from prtbake_storage.hdf5.resources import (
     EnvironmentFile,
     MeshFile,
@@ -22,8 +13,6 @@ from prtbake_storage.hdf5.resources import (
 )
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
-from prtbake_workers.brdf.checks import check_energy, check_reciprocity
-from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.procedural import builtin
 from prtbake_workers.environment.reading import read_environment
@@ -40,7 +29,11 @@ MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
 """What parsing a hostile file may take before its process is ended."""
 MAX_SPHERE_SUBDIVISIONS = 6
-MAX_JSON_BYTES = 1 << 20
+PARSERS = {
+    "mesh": f"{_MODULE}:parse_mesh",
+    "environment": f"{_MODULE}:parse_environment",
+    "brdf": "prtbake_workers.jobs.register_brdf:parse_brdf",
+}
 
 
 def stages(request: dict[str, Any], _context: dict[str, Any]) -> list[Stage]:
@@ -49,7 +42,7 @@ def stages(request: dict[str, Any], _context: dict[str, Any]) -> list[Stage]:
     def parse(_: Results) -> list[Task]:
         return [
             Task(
-                f"{_MODULE}:parse_{request['resource_kind']}",
+                PARSERS[request["resource_kind"]],
                 request["registration"],
                 label=f"parse {request['resource_kind']}",
                 memory_bytes=MEMORY_BYTES,
@@ -129,30 +122,3 @@ def parse_environment(args: dict[str, Any], context: TaskContext) -> dict[str, A
     path = context.scratch / "environment.h5"
     write_environment(path, EnvironmentFile(environment.radiance, report))
     return {"understood": report, "canonical": context.store.put_file(path, move=True)}
-
-
-def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: check a BRDF's JSON, its energy and its reciprocity."""
-    registration = BrdfRegistration.model_validate(args)
-    spec = registration.spec
-    if spec is None:
-        assert registration.blob is not None  # the contract holds exactly one source
-        if context.store.size(registration.blob) > MAX_JSON_BYTES:
-            raise BrdfError(f"a BRDF file holds JSON of at most {MAX_JSON_BYTES} bytes")
-        try:
-            spec = brdf_adapter.validate_json(context.store.read_bytes(registration.blob))
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = "/".join(str(step) for step in first["loc"])
-            raise BrdfError(f"{first['msg']} (at {place or 'the top'})", pointer="/blob") from error
-    brdf = brdf_from_spec(spec)
-    canonical = spec.model_dump(mode="json")
-    understood = {
-        "spec": canonical,
-        "energy": check_energy(brdf).to_dict(),
-        "reciprocity": check_reciprocity(brdf).to_dict(),
-    }
-    return {
-        "understood": json.loads(canonical_json(understood)),
-        "canonical": context.store.put_bytes(canonical_json(canonical).encode()),
-    }

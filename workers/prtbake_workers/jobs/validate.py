@@ -126,7 +126,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         scene=scene,
         accelerator=Accelerator(scene.positions, scene.faces, robust=True),
         parts=tuple(
-            _validation_part(part, scene, header.provenance["occluders"][index])
+            _validation_part(part, scene, header.provenance["occluders"][index], store)
             for index, part in enumerate(header.parts)
         ),
         basis=SrbfBasis(header.centres, header.bandwidth),
@@ -189,8 +189,10 @@ def scene_of(header: TransferHeader) -> Scene:
     )
 
 
-def _validation_part(part: TransferPart, scene: Scene, occluders: list[int]) -> ValidationPart:
-    brdf = load_brdf(dict(part.material))
+def _validation_part(
+    part: TransferPart, scene: Scene, occluders: list[int], store: BlobStore
+) -> ValidationPart:
+    brdf = load_brdf(store, dict(part.material))
     factorisation = Factorisation.from_tables(part.factorisation or {}, brdf=brdf)
     texture = None
     if not factorisation.is_constant_phi:

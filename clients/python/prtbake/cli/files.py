@@ -15,6 +15,8 @@ from prtbake.errors import PrtbakeError
 from prtbake_storage.contract.resources import Resource
 
 register_group = typer.Typer(no_args_is_help=True, help="Upload an input and have it parsed.")
+LINE_MAX = 1000
+"""Characters of one finding that are printed; ``-o json`` prints all."""
 File = Annotated[str, typer.Argument(metavar="FILE")]
 
 
@@ -91,13 +93,16 @@ def register_mesh(
 def register_brdf(
     context: typer.Context,
     file: File,
+    material: Annotated[
+        str | None, typer.Option(help="Row of a table of fits (.csv) that holds several.")
+    ] = None,
     label: Annotated[str | None, typer.Option(help="A name for people.")] = None,
     output: OutputOption = Output.text,
 ) -> None:
-    """Register a BRDF given as JSON; prints what was understood."""
+    """Register a BRDF: JSON, fits (.csv, .h5) or a measurement; prints what was understood."""
     path = existing_file(file, "FILE")
     with client_of(context) as client:
-        _print(client.add_brdf(path, label=label), output)
+        _print(client.add_brdf(path, material=material, label=label), output)
 
 
 @register_group.command("environment")
@@ -133,4 +138,7 @@ def _print(resource: Resource, output: Output) -> None:
     out = console()
     out.print(f"[bold]{resource.id}[/]")
     for name, value in resource.understood.items():
-        out.print(f"  {name}: {value}", markup=False)
+        text = str(value)
+        # a network's weights tell a reader nothing
+        shown = text if len(text) <= LINE_MAX else f"{text[:LINE_MAX]} ..."
+        out.print(f"  {name}: {shown}", markup=False)

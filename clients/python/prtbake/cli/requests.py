@@ -29,7 +29,7 @@ Builder = Callable[..., Request]
 Action = Callable[..., None]
 
 Mesh = Annotated[str, typer.Option(help="FILE, builtin:teapot[:N], builtin:icosphere[:N] or id.")]
-Brdf = Annotated[str, typer.Option(help="FILE.json, 'cook_torrance,m=0.5,kd=0.3', JSON or id.")]
+Brdf = Annotated[str, typer.Option(help="FILE[#MATERIAL], 'ggx,alpha=0.3,f0=0.9', JSON or id.")]
 Environment = Annotated[
     str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
 ]
@@ -294,7 +294,7 @@ def _scene(
     crease_angle: float | None,
 ) -> Request:
     scene: Request = {
-        "brdf": brdf_value(brdf),
+        "brdf": brdf_value(client, brdf),
         "mesh": mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle),
         "effects": key_values(effects or []),
     }

@@ -3,7 +3,7 @@
 ::
 
     mesh          FILE | builtin:teapot[:N] | builtin:icosphere[:N] | mesh-0123456789abcdef
-    brdf          FILE.json | MODEL,key=value,... | {"model": ...} | brdf-0123456789abcdef
+    brdf          FILE[#MATERIAL] | MODEL,key=value,... | {"model": ...} | brdf-0123456789abcdef
     environment   FILE | builtin:NAME[,key=value,...] | environment-0123456789abcdef
 """
 
@@ -65,8 +65,11 @@ def environment_id(client: Client, source: str, **options: object) -> str:
     return client.add_environment(existing_file(source, "--environment"), **options).id
 
 
-def brdf_value(source: str) -> str | dict[str, Any]:
-    """Return the BRDF that an argument means: an id, or the JSON that describes it."""
+def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
+    """Return the BRDF that an argument means: an id, or the JSON that describes it.
+
+    A file that holds no JSON is registered; ``FILE#MATERIAL`` names one row of a table of fits.
+    """
     if _RESOURCE.fullmatch(source):
         return source
     if source.lstrip().startswith("{"):
@@ -74,7 +77,19 @@ def brdf_value(source: str) -> str | dict[str, Any]:
     model, *pairs = source.split(",")
     if model in _MODELS:
         return _checked({"model": model, **key_values(pairs)})
-    return _brdf(existing_file(source, "--brdf").read_text())
+    name, hash_, material = source.rpartition("#")
+    if hash_ and not Path(source).expanduser().is_file():
+        return client.add_brdf(existing_file(name, "--brdf"), material=material).id
+    path = existing_file(source, "--brdf")
+    if is_json(path):
+        return _brdf(path.read_text())
+    return client.add_brdf(path).id
+
+
+def is_json(path: Path) -> bool:
+    """Tell whether a file begins like a JSON object."""
+    with path.open("rb") as file:
+        return file.read(256).lstrip().startswith(b"{")
 
 
 def existing_file(source: str, option: str) -> Path:

@@ -1,0 +1,112 @@
+"""Registration of BRDFs: what was understood, and what is refused and where."""
+
+import json
+
+import numpy as np
+import pytest
+
+from prtbake_storage.errors import BrdfError
+from prtbake_workers.brdf.ggx import Ggx
+from prtbake_workers.jobs.inputs import load_brdf
+from support.keras_file import network
+from support.local_stages import registered
+from support.tensor_file import ggx_fields, tensor_bytes
+
+
+def add(store, data, **registration):
+    """Upload bytes and register them."""
+    return registered(store, "brdf", blob=store.put_bytes(data), **registration)
+
+
+def test_energy_reciprocity_and_isotropy_are_found(store):
+    found = registered(store, "brdf", spec={"model": "ggx", "alpha": 0.3, "f0": 1.0})
+    understood = found["understood"]
+    assert understood["isotropic"]
+    assert understood["reciprocity"]["reciprocal"]
+    assert understood["energy"]["conserves"]
+    assert 0.8 < understood["energy"]["normal_albedo"][0] < 1.0
+    spec = json.loads(store.read_bytes(found["canonical"]))
+    assert spec == understood["spec"]
+    assert (spec["model"], spec["alpha"]) == ("ggx", 0.3)
+
+
+def test_what_creates_light_is_taken_and_named(store):
+    lobe = {"weight": 1.0, "cx": -1, "cy": -0.9, "cz": 1, "exponent": 2}
+    found = registered(store, "brdf", spec={"model": "lafortune", "kd": 0.5, "lobes": [lobe]})
+    assert not found["understood"]["energy"]["conserves"]
+    assert found["understood"]["energy"]["max_albedo"] > 1.5
+    assert not found["understood"]["isotropic"]
+
+
+def test_json_in_a_file_is_the_same_as_in_the_request(store):
+    spec = {"model": "oren_nayar", "sigma": 0.4, "albedo": [0.5, 0.4, 0.3]}
+    from_file = add(store, json.dumps(spec).encode())
+    assert from_file == registered(store, "brdf", spec=spec)
+
+
+TABLE = b"name,kD_r,kD_g,kD_b,A_r,A_g,A_b,B,C,ior\npaint,0.1,0.2,0.3,5,5,5,500,1.5,1.4\n"
+
+
+def test_a_material_of_a_table_becomes_its_spec(store):
+    found = add(store, TABLE, material="paint")["understood"]
+    assert (found["spec"]["model"], found["spec"]["kd"]) == ("abc", [0.1, 0.2, 0.3])
+    assert (found["format"], found["material"]) == ("fit_table", "paint")
+    assert found["energy"]["normal_albedo"][2] > found["energy"]["normal_albedo"][0]
+
+
+@pytest.mark.parametrize(
+    ("data", "material", "says"),
+    [
+        (TABLE, None, "name a material of the table: paint"),
+        (TABLE, "gold", "no material 'gold' in the table: paint"),
+        (b'{"model": "lambert"}', "gold", "one BRDF: it has no materials"),
+    ],
+)
+def test_a_material_that_is_not_there_is_the_fields_fault(store, data, material, says):
+    with pytest.raises(BrdfError, match=says) as caught:
+        add(store, data, material=material)
+    assert caught.value.pointer == "/material"
+
+
+def test_a_network_is_made_symmetric_and_what_it_was_is_told(store):
+    found = add(store, network())["understood"]
+    assert found["format"] == "nbrdf"
+    assert found["spec"]["model"] == "nbrdf"
+    assert found["reciprocity"]["reciprocal"]
+    assert not found["as_given"]["reciprocity"]["reciprocal"]
+    assert 0.0 < found["as_given"]["asymmetry"] < 1.0
+
+
+def test_a_tensor_file_becomes_a_measured_brdf(store):
+    ggx = Ggx(np.zeros(3), np.ones(3), 0.5, np.array([0.9, 0.5, 0.2]))
+    fields = ggx_fields(ggx, 0.5, n_lights=6, n=16, n_normals=48, n_rows=12)
+    found = add(store, tensor_bytes(fields), filename="ggx_rgb.bsdf")
+    understood = found["understood"]
+    assert understood["spec"] == {"model": "measured", "format": "rgl", "data": found["canonical"]}
+    assert understood["file"]["n_lights"] == 6
+    assert understood["reciprocity"]["reciprocal"]
+    assert not understood["as_given"]["reciprocity"]["reciprocal"]
+    assert 0.0 < understood["as_given"]["asymmetry"] < 0.05
+    loaded = load_brdf(store, understood["spec"])
+    up = np.array([[0.0, 0.6, 0.8]])
+    np.testing.assert_allclose(loaded.eval_brdf(up, up), ggx.eval_brdf(up, up), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b'{"model": "ward", "alpha_x": 5}', "less than or equal to 1 .*ward/alpha_x"),
+        (b'{"model": "velvet"}', "velvet"),
+        (b'{"model": "lafortune", "lobes": [{"exponent": -1}]}', "lobes/0/exponent"),
+        (b'{"model": ', "JSON"),
+        (b'{"model": "lambert"}' + b" " * (1 << 20), "at most"),
+        (b"", "empty"),
+        (b"\x00\x01 something else", "none of JSON"),
+        (network()[:3000], "HDF5"),
+        (b"tensor_file\0\1\0\xff\xff\xff\xff", "promises 4294967295 fields"),
+    ],
+)
+def test_a_refusal_says_what_and_where(store, data, says):
+    with pytest.raises(BrdfError, match=says) as caught:
+        add(store, data)
+    assert caught.value.pointer == "/blob"

@@ -1,0 +1,67 @@
+"""How far one BRDF is from another."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from prtbake_storage.errors import BrdfError
+from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.brdf.base import Brdf, is_isotropic
+
+
+@dataclass(frozen=True)
+class BrdfDistance:
+    """Distance to a reference, over all channels and a grid of pairs of directions.
+
+    ``relative_l2`` is the norm of the difference over that of the reference, both weighted with
+    cos_i cos_o as the factorisation is: highlights decide it.  ``median_ratio`` is the median of
+    the values' ratio: highlights do not.
+    """
+
+    relative_l2: float
+    median_ratio: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give plain values."""
+        return asdict(self)
+
+
+def brdf_distance(
+    brdf: Brdf, reference: Brdf, *, n_theta: int = 32, n_phi: int = 128
+) -> BrdfDistance:
+    """Compare two isotropic BRDFs on rings uniform in cos theta and azimuths uniform in phi.
+
+    Raises
+    ------
+    BrdfError
+        One of them is anisotropic, or the reference is black.
+    """
+    if not (is_isotropic(brdf) and is_isotropic(reference)):
+        raise BrdfError("the distance is defined for isotropic BRDFs")
+    cosines = (np.arange(n_theta) + 0.5) / n_theta
+    values, wanted = np.broadcast_arrays(
+        *(_values(each, cosines, n_phi) for each in (brdf, reference))
+    )
+    weight = cosines[:, None, None, None] * cosines[:, None, None]
+    norm = float(np.linalg.norm(wanted * weight))
+    if norm == 0.0:
+        raise BrdfError("nothing can be compared with a black BRDF")
+    positive = wanted > 0.0
+    return BrdfDistance(
+        relative_l2=float(np.linalg.norm((values - wanted) * weight)) / norm,
+        median_ratio=float(np.median(values[positive] / wanted[positive])),
+    )
+
+
+def _values(
+    brdf: Brdf, cosines: Float64[F64, " theta"], n_phi: int
+) -> Float64[F64, "theta theta phi channels"]:
+    """Evaluate at every pair of rings and every difference of azimuths, at midpoints."""
+    phi = 2.0 * np.pi * (np.arange(n_phi) + 0.5) / n_phi
+    sines = np.sqrt(1.0 - cosines * cosines)
+    wi = np.stack([sines, np.zeros_like(sines), cosines], axis=-1)[:, None, None]
+    around = np.broadcast_arrays(
+        sines[:, None] * np.cos(phi), sines[:, None] * np.sin(phi), cosines[:, None]
+    )
+    return brdf.eval_brdf(wi, np.stack(around, axis=-1))
