@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec
+from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec, PhongSpec
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.registry import brdf_from_spec
-from prtbake_workers.brdf.view_texture import view_texture
+from prtbake_workers.brdf.view_texture import fit_view_texture, lookup_error, view_texture
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +58,39 @@ def test_a_diffuse_view_side_is_flat():
 def test_impossible_sizes_are_refused(gloss, resolution, supersample):
     with pytest.raises(SettingsError, match=r"resolution|supersample"):
         view_texture(gloss, resolution, supersample)
+
+
+@pytest.fixture(scope="module")
+def narrow():
+    return factorise(brdf_from_spec(PhongSpec(exponent=200)), n_terms=16)
+
+
+def test_texels_are_as_fine_as_the_lobe_asks(gloss, narrow):
+    assert fit_view_texture(gloss).resolution == 64
+    fitted = fit_view_texture(narrow)
+    # measured 2.1 %, 0.53 % and 0.13 % at 64, 128 and 256; orders up to 4 alone would ask for few
+    assert fitted.resolution == 256
+    assert 0.0 < fitted.error <= 0.003
+    assert fitted.error == lookup_error(narrow, fitted.values)
+
+
+def test_the_last_resolution_keeps_its_larger_error(narrow):
+    fitted = fit_view_texture(narrow, largest=64)
+    assert fitted.resolution == 64
+    assert 0.015 < fitted.error < 0.025
+    assert fit_view_texture(narrow, tolerance=0.01).resolution == 128
+
+
+@pytest.mark.parametrize(("resolution", "supersample"), [(32, 4), (64, 1)])
+def test_the_stated_error_is_that_of_radiance(gloss, directions, resolution, supersample):
+    """Hold it against the double sum over pairs of directions, without any orthogonality."""
+    texture = view_texture(gloss, resolution, supersample)
+    wi, wo = directions(4000, seed=5), directions(3000, seed=6)
+    psi = gloss.eval_psi(wi) * wi[:, 2:]
+    phi = gloss.eval_phi(wo)[..., 0] * wo[:, 2:]
+    seen = lookup(texture, hemi_octahedral(wo))[..., 0] * wo[:, 2:]
+    expected = np.linalg.norm(psi @ (seen - phi).T) / np.linalg.norm(psi @ phi.T)
+    # random directions on both sides: 5 % from seed to seed
+    assert lookup_error(gloss, texture) == pytest.approx(expected, rel=0.15)
+    # twin: terms that count alike, whichever their singular values
+    assert error(gloss, texture, wo) > 2.0 * expected

@@ -1,6 +1,7 @@
 """The main job's stages, for real, in this process."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,20 @@ from prtbake_storage.errors import CorruptArtefact, InputError, SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_mesh
 from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.hdf5.writer import write_asset
 from prtbake_workers.jobs import report
 from prtbake_workers.jobs.bake import repairs
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stages
-from support.scenes import asset_request, run_asset, run_until, teapot_context
+from support.scenes import (
+    SMALL,
+    asset_request,
+    context_of,
+    run_asset,
+    run_until,
+    teapot_context,
+    validation_of,
+)
 
 
 def finished(glossy_asset):
@@ -97,6 +107,46 @@ def test_the_asset_says_how_it_was_made(glossy_asset, store):
     assert provenance["quality"] == request["quality"]
     assert provenance["inputs"]["brdf"] == request["brdf"]
     assert {"numpy", "embreex"} <= set(made["versions"])
+
+
+def test_a_narrow_lobe_gets_finer_texels_and_a_note_where_they_are_too_few(store):
+    """A lobe of exponent 500 on a small sphere: more than 256 texels would be due."""
+    request = asset_request(
+        brdf={"model": "phong", "kd": 0.0, "ks": 0.9, "exponent": 500.0}, receiver=None
+    )
+    request["settings"]["bake"] |= {"n_terms": 24}
+    sphere = {"builtin": {"name": "icosphere", "tessellation": 1}}
+    sky = {"builtin": {"name": "constant", "width": 16}}
+    context = context_of(store, request, sphere, sky)
+    baked = run_until(store, request, context, "join")
+    context["artefacts"]["transfer"] = {"digest": baked["join"][0]["transfer"]}
+    compress = {"kind": "compress", "transfer": "job/transfer.h5", "settings": SMALL["compress"]}
+    results = run_stages(REGISTRY.stages("compress", compress, context), store)
+    (quantised,) = results["quantise"]
+    (part,) = read_asset(store.local_path(quantised["asset"])).parts
+    assert part.view_texture.shape[:2] == (256, 256)
+    # measured 0.49 % of the radiance; stages state squares
+    assert 4e-3**2 < quantised["errors"]["object view texture"] < 6e-3**2
+    (note,) = REGISTRY.finish("compress", compress, context, results).result["notes"]
+    assert note.startswith("object: the view texture of 256 x 256 texels is off by 0.")
+
+
+def test_validation_sees_the_texels_that_were_delivered(glossy_asset, store, tmp_path):
+    _, context, results = glossy_asset
+    (quantised,) = results["quantise"]
+    assert 0.0 < quantised["errors"]["object view texture"] < 3e-3**2
+    assert quantised["notes"] == []
+    asset = read_asset(store.local_path(quantised["exact"]))
+    glossy, receiver = asset.parts
+    coarse = replace(glossy, view_texture=glossy.view_texture[::2, ::2].copy())
+    write_asset(tmp_path / "coarse.h5", replace(asset, parts=(coarse, receiver)), bits=16)
+    digest = store.put_file(tmp_path / "coarse.h5")
+    environment = context["environment"]["canonical"]
+    for texels, delivered in ((64, quantised["asset"]), (32, digest)):
+        held = {**results, "quantise": [{**quantised, "asset": delivered}]}
+        own, plain = validation_of(store, held, environment).parts
+        assert own.view_texture.shape[:2] == (texels, texels)
+        assert plain.view_texture is None
 
 
 def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):

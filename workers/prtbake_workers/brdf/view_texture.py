@@ -1,14 +1,86 @@
 """Pre-filtered textures of the view side, for shading on the GPU and in the numpy decoder."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from prtbake_storage.decode.view_map import hemi_octahedral_inverse, texel_centres
+from prtbake_storage.decode.view_map import (
+    hemi_octahedral,
+    hemi_octahedral_inverse,
+    lookup,
+    texel_centres,
+)
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, F64, Float32
+from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.brdf.factorisation import Factorisation
 
 VALUES_A_PASS = 1_000_000
 """Values of phi evaluated at once: bounds the memory of large textures to some tens of MiB."""
+
+SMALLEST, LARGEST = 64, 256
+"""Texels along a side: the first that is tried, and the last, 16 MiB a channel at 64 terms."""
+
+ERROR_TOLERANCE = 0.003
+"""Share of the radiance (amplitude) that a lookup may be off by before the texels are halved."""
+
+PROBES = 4096
+"""Directions that the error is measured in: it moves by a tenth of itself from set to set."""
+
+
+class FittedTexture(NamedTuple):
+    """A view texture and the share of the radiance (amplitude) that lookups in it are off by."""
+
+    values: Float32[F32, "rows columns terms channels"]
+    error: float
+
+    @property
+    def resolution(self) -> int:
+        """Texels along a side."""
+        return len(self.values)
+
+
+def fit_view_texture(
+    factorisation: Factorisation,
+    *,
+    tolerance: float = ERROR_TOLERANCE,
+    largest: int = LARGEST,
+) -> FittedTexture:
+    """Double the texture's resolution until lookups are off by at most ``tolerance``.
+
+    The highest azimuthal order does not say how fine the texels must be: Phong 200 in 15 terms has
+    orders up to 4 only, and rings that need 256 texels.  So the error is measured.
+
+    Parameters
+    ----------
+    largest
+        Resolution beyond which a larger error is accepted.
+    """
+    resolution = min(SMALLEST, largest)
+    while True:
+        values = view_texture(factorisation, resolution)
+        error = lookup_error(factorisation, values)
+        if error <= tolerance or 2 * resolution > largest:
+            return FittedTexture(values, error)
+        resolution *= 2
+
+
+def lookup_error(
+    factorisation: Factorisation, texture: Float32[F32, "rows columns terms channels"]
+) -> float:
+    """Measure the amplitude error of looked-up radiance, weight cos_i^2 cos_o^2, 0 or more.
+
+    The light sides are orthogonal, so terms add in squares, each with its singular value.
+    """
+    rng = np.random.default_rng(0)
+    cosine, azimuth = rng.random(PROBES), 2.0 * np.pi * rng.random(PROBES)
+    sine = np.sqrt(1.0 - cosine**2)
+    wo: Float64[F64, "probes 3"] = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), cosine], axis=-1
+    )
+    phi = factorisation.eval_phi(wo)
+    off = lookup(texture, hemi_octahedral(wo)) - phi
+    weight = cosine[:, None, None] * factorisation.singular_values[: len(phi[0]), None]
+    return float(np.linalg.norm(weight * off) / np.linalg.norm(weight * phi))
 
 
 def view_texture(

@@ -18,7 +18,7 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32, F64
 from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.brdf.view_texture import view_texture
+from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.jobs.inputs import versions
@@ -27,7 +27,6 @@ from prtbake_workers.planning.presets import resolve_compression
 _MODULE = "prtbake_workers.jobs.compress"
 READ_VERTS = 2048
 """Vertices read at a time, so that 16-bit and 32-bit copies do not lie side by side in full."""
-VIEW_TEXTURE_RESOLUTION = 64
 
 
 def stages(
@@ -194,15 +193,27 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``asset.h5`` (16 bits) and ``asset-float32.h5``, and measure the difference."""
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:
         header = transfer.header
-        parts = []
+        parts: list[Part] = []
+        errors: dict[str, float] = {}
+        notes: list[str] = []
         for index, digest in enumerate(args["factors"]):
             arrays, factors = read_bundle(context.store.local_path(digest))
-            parts.append(make_part(header.parts[index], factors["method"], arrays))
+            part, view_error = make_part(header.parts[index], factors["method"], arrays)
+            parts.append(part)
+            if part.view_texture is None:
+                continue
+            # squared, as all errors of stages are
+            errors[f"{part.name} view texture"] = view_error**2
+            if view_error > ERROR_TOLERANCE:
+                side = len(part.view_texture)
+                notes.append(
+                    f"{part.name}: the view texture of {side} x {side} texels is off by "
+                    f"{view_error:.2%} of the radiance: the lobe is narrow for it"
+                )
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
         write_asset(exact_path, exact, bits=32)
         delivered = write_asset(path, exact, bits=16)
-        errors = {}
         for index, (before, after) in enumerate(zip(exact.parts, delivered.parts, strict=True)):
             signal = transfer.energies(index).signal
             areas = header.parts[index].areas
@@ -214,17 +225,20 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bytes": size,
         "groups": delivered.nbytes,
         "errors": errors,
+        "notes": notes,
     }
 
 
-def make_part(part: TransferPart, method: Any, arrays: dict[str, NDArray[Any]]) -> Part:
-    """Join a part's surface with its factors."""
-    texture = None
+def make_part(
+    part: TransferPart, method: Any, arrays: dict[str, NDArray[Any]]
+) -> tuple[Part, float]:
+    """Join a part's surface with its factors; also the view texture's error, 0 without one."""
+    texture, error = None, 0.0
     factorisation = Factorisation.from_tables(part.factorisation or {})
     if not factorisation.is_constant_phi:
-        phi = view_texture(factorisation, VIEW_TEXTURE_RESOLUTION)
+        phi, error = fit_view_texture(factorisation)
         texture = np.einsum("abkc,kr->abrc", phi, arrays["view_basis"]).astype(np.float32)
-    return Part(
+    joined = Part(
         name=part.name,
         vertex_range=part.vertex_range,
         material=part.material,
@@ -236,6 +250,7 @@ def make_part(part: TransferPart, method: Any, arrays: dict[str, NDArray[Any]]) 
         factorisation=part.factorisation,
         **arrays,
     )
+    return joined, error
 
 
 def make_asset(

@@ -48,6 +48,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
             }
             for part in results.get("compress", [])
         ],
+        "asset_notes": results["quantise"][0]["notes"] if "quantise" in results else [],
         "views": [view for camera in results.get("validate", []) for view in camera["views"]],
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
@@ -106,6 +107,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     for part in args["compressed"]:
         notes += part["notes"]
     notes += args["light_notes"]
+    notes += args["asset_notes"]
     if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
         notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
     report = make_report(

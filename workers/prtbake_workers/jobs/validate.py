@@ -15,7 +15,7 @@ from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.arrays import F64, I64
+from prtbake_workers.arrays import F32, F64, I64
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.view_texture import view_texture
@@ -23,7 +23,6 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import vertex_areas
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.jobs.compress import VIEW_TEXTURE_RESOLUTION
 from prtbake_workers.jobs.inputs import load_brdf, load_environment
 from prtbake_workers.jobs.scene_file import occluder_accelerator
 from prtbake_workers.render.images import (
@@ -117,6 +116,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         header = transfer.header
     scene = scene_of(header)
     bake = header.provenance["bake"]
+    delivered = read_asset(store.local_path(args["asset"]))
 
     def relight_stored(part: int, vertices: I64, light: F64) -> F64:
         start = header.parts[part].vertex_range[0]
@@ -126,15 +126,17 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         scene=scene,
         accelerator=Accelerator(scene.positions, scene.faces, robust=True),
         parts=tuple(
-            _validation_part(part, scene, header.provenance["occluders"][index], store)
-            for index, part in enumerate(header.parts)
+            _validation_part(part, own.view_texture, scene, occluders, store)
+            for part, own, occluders in zip(
+                header.parts, delivered.parts, header.provenance["occluders"], strict=True
+            )
         ),
         basis=SrbfBasis(header.centres, header.bandwidth),
         directions=cube_directions(bake["cube_resolution"]),
         supersample=bake["supersample"],
         relight_stored=relight_stored,
         exact=read_asset(store.local_path(args["exact"])) if "exact" in args else None,
-        delivered=read_asset(store.local_path(args["asset"])),
+        delivered=delivered,
         environment=load_environment(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),
     )
@@ -190,13 +192,16 @@ def scene_of(header: TransferHeader) -> Scene:
 
 
 def _validation_part(
-    part: TransferPart, scene: Scene, occluders: list[int], store: BlobStore
+    part: TransferPart,
+    delivered: F32 | None,
+    scene: Scene,
+    occluders: list[int],
+    store: BlobStore,
 ) -> ValidationPart:
+    """Rebuild a part; its view texture of all terms gets the resolution that was delivered."""
     brdf = load_brdf(store, dict(part.material))
     factorisation = Factorisation.from_tables(part.factorisation or {}, brdf=brdf)
-    texture = None
-    if not factorisation.is_constant_phi:
-        texture = view_texture(factorisation, VIEW_TEXTURE_RESOLUTION)
+    texture = None if delivered is None else view_texture(factorisation, len(delivered))
     return ValidationPart(
         brdf=brdf,
         factorisation=factorisation,
