@@ -60,14 +60,14 @@ def test_submit_asset_from_words(
     service.answer_next("register", lambda job: service.succeed(job, result))
     made = run(
         *("submit", "asset", "--mesh", "builtin:teapot:3", "--environment", environment),
-        *("--brdf", "cook_torrance,m=0.5,kd=0.9:0.2:0.1", "--quality", "draft"),
+        *("--brdf", "lambert,albedo=0.9:0.2:0.1", "--quality", "draft"),
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
         *("--albedo-texture", texture, "--set", "bake.n_terms=16"),
         *("--set", "compress.ranks=8,48,24", "-o", "json"),
     )
     assert made.exit_code == 0, made.output
     request = json.loads(made.stdout)["request"]
-    assert request["brdf"]["kd"] == [0.9, 0.2, 0.1]
+    assert request["brdf"]["albedo"] == [0.9, 0.2, 0.1]
     assert request["settings"]["bake"] == {"n_terms": 16}
     assert request["settings"]["compress"] == {"ranks": [8, 48, 24]}
     assert request["receiver"]["resolution"] == 8
@@ -240,7 +240,7 @@ def test_upload_and_register(run: Run, service: LiveService, tmp_path: Path) -> 
     [
         ["register", "mesh", "FILE"],
         ["submit", "bake", "--mesh", "FILE", "--brdf", "lambert"],
-        ["submit", "bake", "--mesh", "builtin:teapot:5", "--brdf", "lambert"],
+        ["submit", "bake", "--mesh", "builtin:teapot:6", "--brdf", "lambert"],
     ],
     ids=["register", "submit", "built-in"],
 )
@@ -335,9 +335,76 @@ def test_refusals(run: Run, arguments: list[str], code: int, said: str) -> None:
     assert "Traceback" not in result.output
 
 
+BAKE = ("submit", "bake", "--mesh", "builtin:teapot:3")
+SKY = ("submit", "fit-light", "--environment")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((*BAKE, "--brdf", "bogus,m=0.5"), ["bogus", "lambert", "cook_torrance", "ggx"]),
+        ((*BAKE, "--brdf", "cook_torrance,zz=7"), ["zz", "kd, ks, m, f0"]),
+        ((*BAKE, "--brdf", "lambert", "--receiver", "size=3"), ["size", "resolution, extent"]),
+        ((*BAKE, "--brdf", "lambert", "--effect", "fog=on"), ["fog", "self_shadowing"]),
+        ((*SKY, "builtin:sun_sky,hour=3"), ["hour", "width, sun_elevation_deg"]),
+        ((*SKY, "x.hdr", "--set", "lobes=3"), ["lobes", "n_lobes, max_iterations"]),
+        (("submit", "compress", "--transfer", "a/b", "--set", "rank=3"), ["rank", "n_clusters"]),
+    ],
+)
+def test_an_unknown_name_brings_the_known_ones(
+    run: Run, arguments: tuple[str, ...], said: list[str]
+) -> None:
+    result = run(*arguments)
+    assert result.exit_code == Exit.usage
+    # the message stands in a box that breaks its lines
+    told = " ".join(result.stderr.replace("│", " ").split())
+    assert all(word in told for word in said), told
+
+
+@pytest.mark.parametrize(
+    ("pair", "said"),
+    [
+        ("bake.foo=1", ["bake has no 'foo'", "cube_resolution, supersample"]),
+        ("baking.n_terms=1", ["no 'baking'", "bake, compress, fit_light, render, validation"]),
+        ("bake=1", ["bake.NAME=VALUE"]),
+    ],
+)
+def test_an_unknown_setting_of_a_stage_brings_the_known_ones(
+    run: Run, service: LiveService, environment: str, pair: str, said: list[str]
+) -> None:
+    mesh = "mesh-00000000000000aa"
+    scene = ("--mesh", mesh, "--environment", environment, "--brdf", "lambert")
+    result = run("submit", "asset", *scene, "--set", pair)
+    assert result.exit_code == Exit.usage
+    told = " ".join(result.stderr.replace("│", " ").split())
+    assert all(word in told for word in said), told
+
+
+def test_a_binary_file_goes_to_the_parser_and_its_refusal_is_told(
+    run: Run, service: LiveService, tmp_path: Path
+) -> None:
+    path = tmp_path / "some.binary"
+    path.write_bytes(b"\x89PNG\xff\xfe")
+    refusal = JobError(kind="input", code="invalid-brdf", detail="neither JSON nor a table")
+    service.answer_next("register", lambda job_id: service.fail(job_id, refusal))
+    result = run("submit", "bake", "--mesh", "mesh-0123456789abcdef", "--brdf", path)
+    assert (result.exit_code, result.exception.__class__) == (Exit.refused, SystemExit)
+    assert refusal.detail in result.stderr
+
+
 def test_no_service() -> None:
     result = CliRunner().invoke(app, ["--url", "http://127.0.0.1:9", "ls"])
     assert result.exit_code == Exit.unreachable
+
+
+def test_a_fault_of_the_service_is_no_refusal(
+    run: Run, service: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def explode(*_: object, **__: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(type(service.backend.jobs), "page", explode)
+    assert run("ls").exit_code == Exit.service
 
 
 def test_a_wrong_key(service: LiveService) -> None:
