@@ -129,13 +129,14 @@ class ValidateSettings(Wire):
     )
 
 
-_STAGES: dict[str, type[Wire]] = {
+STAGES: dict[str, type[Wire]] = {
     "bake": BakeSettings,
     "compress": CompressSettings,
     "fit_light": FitLightSettings,
     "render": RenderSettings,
     "validation": ValidateSettings,
 }
+"""Stage of an asset job, as its settings name it -> what may be set there."""
 
 
 class AssetSettings(Wire):
@@ -151,5 +152,5 @@ class AssetSettings(Wire):
     @classmethod
     def _legal(cls, fields: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         """Refuse here, at submission, what the stage itself would refuse."""
-        _STAGES[str(info.field_name)].model_validate(fields)
+        STAGES[str(info.field_name)].model_validate(fields)
         return fields

@@ -1,6 +1,7 @@
 """``--set path.to.field=value``."""
 
 import json
+from collections.abc import Iterable
 from typing import Any
 
 import typer
@@ -36,3 +37,16 @@ def nested(pairs: list[str]) -> dict[str, Any]:
             node = inner
         node[steps[-1]] = parse_value(text)
     return tree
+
+
+def legal_names(
+    given: dict[str, Any], legal: Iterable[str], owner: str, option: str
+) -> dict[str, Any]:
+    """Return the values if all their names are legal; else say which is not and which would be."""
+    names = list(legal)
+    for name in given:
+        if name not in names:
+            raise typer.BadParameter(
+                f"{owner} has no {name!r}; it has: {', '.join(names)}", param_hint=option
+            )
+    return given

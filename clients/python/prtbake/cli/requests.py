@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import BaseModel
 
-from prtbake.cli.assignments import nested, parse_value
+from prtbake.cli.assignments import legal_names, nested, parse_value
 from prtbake.cli.context import client_of
 from prtbake.cli.sources import (
     brdf_value,
@@ -23,6 +24,16 @@ from prtbake.cli.sources import (
     mesh_id,
 )
 from prtbake.client import Client
+from prtbake_storage.contract.settings import (
+    STAGES,
+    BakeSettings,
+    CompressSettings,
+    Effects,
+    FitLightSettings,
+    ReceiverPlane,
+    RenderSettings,
+    ValidateSettings,
+)
 
 Request = dict[str, Any]
 Builder = Callable[..., Request]
@@ -91,6 +102,7 @@ def asset(
     timeout: Timeout = None,
 ) -> Request:
     """Bake, compress, fit the light, render, validate, report: the main job."""
+    settings = _stage_settings(setting)
     scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
@@ -98,7 +110,7 @@ def asset(
         **scene,
         "environment": light,
         "quality": quality,
-        "settings": nested(setting or []),
+        "settings": settings,
         **_common(label, priority, seed, timeout),
     }
 
@@ -120,8 +132,8 @@ def bake(
     timeout: Timeout = None,
 ) -> Request:
     """Simulate transport: gives transfer.h5."""
+    settings = _settings(setting, BakeSettings)
     scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
-    settings = nested(setting or [])
     return {
         "kind": "bake",
         **scene,
@@ -145,7 +157,7 @@ def compress(
     return {
         "kind": "compress",
         "transfer": transfer,
-        "settings": nested(setting or []),
+        "settings": _settings(setting, CompressSettings),
         **_common(label, priority, seed, timeout),
     }
 
@@ -163,11 +175,12 @@ def fit_light(
     timeout: Timeout = None,
 ) -> Request:
     """Fit an environment: gives light.h5."""
+    settings = _settings(setting, FitLightSettings)
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "fit_light",
         "environment": light,
-        "settings": nested(setting or []),
+        "settings": settings,
         **_common(label, priority, seed, timeout),
     }
 
@@ -189,7 +202,7 @@ def render(
         "kind": "render",
         "asset": asset,
         "light": light,
-        "settings": nested(setting or []),
+        "settings": _settings(setting, RenderSettings),
         **_common(label, priority, seed, timeout),
     }
 
@@ -209,6 +222,7 @@ def validate(
     timeout: Timeout = None,
 ) -> Request:
     """Hold an asset against the reference: gives pictures, metrics and the error budget."""
+    settings = _settings(setting, ValidateSettings)
     return {
         "kind": "validate",
         "asset": asset,
@@ -216,7 +230,7 @@ def validate(
         "transfer": transfer,
         "light": light,
         "environment": environment_id(client, environment),
-        "settings": nested(setting or []),
+        "settings": settings,
         **_common(label, priority, seed, timeout),
     }
 
@@ -293,22 +307,23 @@ def _scene(
     mesh_format: str,
     crease_angle: float | None,
 ) -> Request:
+    # all that this side can refuse, before anything is uploaded
+    given = legal_names(key_values(effects or []), Effects.model_fields, "the scene", "--effect")
     scene: Request = {
-        "brdf": brdf_value(client, brdf),
-        "mesh": mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle),
-        "effects": key_values(effects or []),
-    }
-    # JSON's true and false are not what a switch is called
-    scene["effects"] = {
-        name: {True: "on", False: "off"}.get(value, value)
-        for name, value in scene["effects"].items()
+        # JSON's true and false are not what a switch is called
+        "effects": {
+            name: {True: "on", False: "off"}.get(value, value) for name, value in given.items()
+        },
     }
     if receiver is not None:
         scene["receiver"] = receiver_value(receiver)
+    picture: Path | None = None
+    if texture is not None and not texture.startswith("sha256:"):
+        picture = existing_file(texture, "--albedo-texture")
+    scene["brdf"] = brdf_value(client, brdf)
+    scene["mesh"] = mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle)
     if texture is not None:
-        known = texture.startswith("sha256:")
-        path = None if known else existing_file(texture, "--albedo-texture")
-        scene["albedo_texture"] = texture if path is None else _upload(client, path)
+        scene["albedo_texture"] = texture if picture is None else client.upload(picture).digest
     return scene
 
 
@@ -318,11 +333,22 @@ def receiver_value(text: str) -> Request:
         return {}
     if "=" not in text:
         return {"resolution": parse_value(text)}
-    return key_values(text.split(","))
+    given = key_values(text.split(","))
+    return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
 
 
-def _upload(client: Client, path: Path) -> str:
-    return client.upload(path).digest
+def _settings(pairs: list[str] | None, model: type[BaseModel]) -> Request:
+    return legal_names(nested(pairs or []), model.model_fields, "this job", "--set")
+
+
+def _stage_settings(pairs: list[str] | None) -> Request:
+    """Check names only: the service knows what their values may be."""
+    given = legal_names(nested(pairs or []), STAGES, "this job", "--set")
+    for stage, fields in given.items():
+        if not isinstance(fields, dict):
+            raise typer.BadParameter(f"write {stage}.NAME=VALUE", param_hint="--set")
+        legal_names(fields, STAGES[stage].model_fields, stage, "--set")
+    return given
 
 
 def _common(label: str | None, priority: int, seed: int, timeout: int | None) -> Request:

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 import typer
+from pydantic import BaseModel
 
-from prtbake.cli.assignments import parse_value
+from prtbake.cli.assignments import legal_names, parse_value
 from prtbake.client import Client
 from prtbake_storage.contract.brdf import BrdfSpec, brdf_adapter
 from prtbake_storage.contract.resources import (
@@ -26,9 +27,9 @@ from prtbake_storage.contract.resources import (
 
 BUILTIN = "builtin:"
 _RESOURCE = re.compile(r"(mesh|brdf|environment)-[0-9a-f]{16}")
-_MODELS = frozenset(
-    member.model_fields["model"].default for member in get_args(get_args(BrdfSpec)[0])
-)
+_MODELS: dict[str, type[BaseModel]] = {
+    member.model_fields["model"].default: member for member in get_args(get_args(BrdfSpec)[0])
+}
 
 
 def mesh_id(
@@ -60,7 +61,9 @@ def environment_id(client: Client, source: str, **options: object) -> str:
         return source
     if source.startswith(BUILTIN):
         name, *pairs = source.removeprefix(BUILTIN).split(",")
-        builtin = BuiltinEnvironment.model_validate({"name": name, **key_values(pairs)})
+        fields = [field for field in BuiltinEnvironment.model_fields if field != "name"]
+        options = legal_names(key_values(pairs), fields, source.partition(",")[0], "--environment")
+        builtin = BuiltinEnvironment.model_validate({"name": name, **options})
         return client.register(EnvironmentRegistration(builtin=builtin)).id
     return client.add_environment(existing_file(source, "--environment"), **options).id
 
@@ -74,16 +77,25 @@ def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
         return source
     if source.lstrip().startswith("{"):
         return _brdf(source)
-    model, *pairs = source.split(",")
-    if model in _MODELS:
-        return _checked({"model": model, **key_values(pairs)})
-    name, hash_, material = source.rpartition("#")
+    name, *pairs = source.split(",")
+    if (model := _MODELS.get(name)) is not None:
+        fields = [field for field in model.model_fields if field != "model"]
+        return _checked({"model": name, **legal_names(key_values(pairs), fields, name, "--brdf")})
+    file, hash_, material = source.rpartition("#")
     if hash_ and not Path(source).expanduser().is_file():
-        return client.add_brdf(existing_file(name, "--brdf"), material=material).id
+        return client.add_brdf(existing_file(file, "--brdf"), material=material).id
+    if not Path(source).expanduser().is_file():
+        raise typer.BadParameter(
+            f"there is no file {source}, and the BRDF models are {', '.join(_MODELS)}",
+            param_hint="--brdf",
+        )
     path = existing_file(source, "--brdf")
-    if is_json(path):
+    if not is_json(path):
+        return client.add_brdf(path).id
+    try:
         return _brdf(path.read_text())
-    return client.add_brdf(path).id
+    except UnicodeDecodeError as error:
+        raise typer.BadParameter(f"{source} is not JSON but binary", param_hint="--brdf") from error
 
 
 def is_json(path: Path) -> bool:
