@@ -60,14 +60,14 @@ def test_submit_asset_from_words(
     service.answer_next("register", lambda job: service.succeed(job, result))
     made = run(
         *("submit", "asset", "--mesh", "builtin:teapot:3", "--environment", environment),
-        *("--brdf", "cook_torrance,m=0.5,kd=0.9:0.2:0.1", "--quality", "draft"),
+        *("--brdf", "lambert,albedo=0.9:0.2:0.1", "--quality", "draft"),
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
         *("--albedo-texture", texture, "--set", "bake.n_terms=16"),
         *("--set", "compress.ranks=8,48,24", "-o", "json"),
     )
     assert made.exit_code == 0, made.output
     request = json.loads(made.stdout)["request"]
-    assert request["brdf"]["kd"] == [0.9, 0.2, 0.1]
+    assert request["brdf"]["albedo"] == [0.9, 0.2, 0.1]
     assert request["settings"]["bake"] == {"n_terms": 16}
     assert request["settings"]["compress"] == {"ranks": [8, 48, 24]}
     assert request["receiver"]["resolution"] == 8

@@ -116,6 +116,28 @@ def test_an_artefact_of_another_kind_is_refused(
         assert wrong in answer.json()["detail"]
 
 
+@pytest.mark.parametrize("registered", [False, True])
+@pytest.mark.parametrize("model", ["lambert", "ggx"])
+def test_a_texture_needs_a_lambert_brdf(
+    service: LiveService, http, mesh: str, model: str, registered: bool
+) -> None:
+    texture = service.backend.blobs.put_bytes(b"another picture")
+    service.backend.uploads.add(texture, 15)
+    brdf: object = {"model": model}
+    if registered:
+        made = http.post("/v1/brdfs", json={"spec": brdf}).json()
+        result = {"canonical": texture, "understood": {"spec": made["request"]["spec"]}}
+        service.succeed(f"parse-{made['id']}", result)
+        brdf = made["id"]
+    body = {"kind": "bake", "mesh": mesh, "brdf": brdf, "albedo_texture": texture}
+    answer = http.post("/v1/jobs", json=body)
+    if model == "lambert":
+        assert answer.status_code == 202
+    else:
+        assert (answer.status_code, answer.json()["pointer"]) == (400, "/albedo_texture")
+        assert "lambert" in answer.json()["detail"]
+
+
 def test_an_artefact_must_be_finished(service: LiveService, http, submit) -> None:
     job = submit()
     body = {"kind": "compress", "transfer": f"{job['id']}/transfer.h5"}

@@ -23,7 +23,7 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
-from prtbake_storage.errors import Conflict, InputError, NotFound
+from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
 AnyRequest = (
     BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
@@ -106,6 +106,11 @@ class Resolver:
             spec = request.brdf.model_dump(mode="json")
             brdf = {"id": None, "canonical": None, "understood": {}, "spec": spec}
         if request.albedo_texture is not None:
+            if brdf["spec"].get("model") != "lambert":
+                raise SettingsError(
+                    "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
+                    pointer="/albedo_texture",
+                )
             self.require_upload(request.albedo_texture, "/albedo_texture")
         return {"mesh": mesh, "brdf": brdf, "albedo_texture": request.albedo_texture}
 
