@@ -1,6 +1,7 @@
 """Who may call: bearer API keys, stored hashed, each scoped to a project."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from prtbake_service.backend import Backend, BackendDep
 from prtbake_storage.errors import Unauthorised
 from prtbake_storage.records import Key
+from prtbake_storage.records.keys import new_secret
 
 KEY_FILE = "api-key"
 _bearer = HTTPBearer(auto_error=False, description="an API key of prtbake")
@@ -35,24 +37,25 @@ def ensure_key(backend: Backend) -> None:
     """Make sure that somebody can call: the operator's key, or one made at the first start.
 
     The generated key lies in the data directory, readable by its owner only.  A database that is
-    new beside an old data directory takes over the key that lies there.
+    new beside an old data directory takes over the key that lies there.  A key that was given or
+    lay there at an earlier start, and is another now, is closed; so is one whose file was removed.
     """
     settings = backend.settings
     if settings.api_key is not None:
-        backend.keys.create(
-            label="given by the operator", secret=settings.api_key.get_secret_value()
-        )
+        backend.keys.replace(settings.api_key.get_secret_value(), label="given by the operator")
         return
     path = settings.data_dir / KEY_FILE
-    if path.exists() and (secret := path.read_text().strip()):
-        backend.keys.create(label="embedded default", secret=secret)
-        return
-    _, secret = backend.keys.create(label="embedded default")
-    write_private(path, secret)
+    secret = path.read_text().strip() if path.exists() else ""
+    if not secret or backend.keys.is_revoked(secret):
+        path.unlink(missing_ok=True)
+        write_private(path, new_secret())
+        # of two services that start at once one writes the file, and both read it
+        secret = path.read_text().strip()
+    backend.keys.replace(secret, label="embedded default")
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a file that only its owner may read, never open to others even for a moment."""
+    """Write a file that only its owner may read, whole or not at all; one that is there stays."""
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
@@ -60,4 +63,6 @@ def write_private(path: Path, text: str) -> None:
         file.write(text + "\n")
         file.flush()
         os.fsync(file.fileno())
-    temporary.replace(path)
+    with suppress(FileExistsError):
+        os.link(temporary, path)
+    temporary.unlink()

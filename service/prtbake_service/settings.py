@@ -2,11 +2,14 @@
 
 from datetime import timedelta
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import SecretStr
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 DEFAULT_PORT = 8420
+MIN_KEY_LENGTH = 16
+"""Characters: keys are stored under a fast hash, so a guessable one is no key."""
 
 
 class ServiceSettings(BaseSettings):
@@ -23,7 +26,8 @@ class ServiceSettings(BaseSettings):
     database_url, blob_url
         The two URLs that make an embedded service a distributed one.
     api_key
-        A key to accept, given by the operator; without one the first start generates one.
+        A key to accept, given by the operator in place of the one given at an earlier start;
+        without one the first start generates one.
     max_upload_bytes, max_request_bytes
         Limits of an upload and of any other request body.
     parse_wait
@@ -44,7 +48,7 @@ class ServiceSettings(BaseSettings):
     data_dir: Path = Path("prtbake-data")
     database_url: str | None = None
     blob_url: str | None = None
-    api_key: SecretStr | None = None
+    api_key: Annotated[SecretStr, Field(min_length=MIN_KEY_LENGTH)] | None = None
     max_upload_bytes: int = 2 << 30  # 2 GiB
     max_request_bytes: int = 1 << 20  # 1 MiB
     parse_wait: timedelta = timedelta(seconds=5)

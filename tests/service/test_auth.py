@@ -54,12 +54,46 @@ def test_a_second_start_keeps_the_key(service: LiveService) -> None:
     assert (service.data_dir / KEY_FILE).read_text().strip() == service.key
 
 
-def test_a_private_file_replaces_an_open_one(tmp_path: Path) -> None:
+def opened_by(folder: Path, *keys: str, **settings: object) -> list[bool]:
+    """Start a service on a folder and tell which keys open it."""
+    with live_service(quick_settings(folder, **settings)) as live:
+        return [live.backend.keys.verify(key) is not None for key in keys]
+
+
+def test_a_given_key_takes_the_place_of_the_one_before(tmp_path: Path) -> None:
+    (tmp_path / KEY_FILE).write_text("unused\n")
+    keys = ("the-first-key-given", "the-second-key-given")
+    assert opened_by(tmp_path, *keys, api_key=keys[0]) == [True, False]
+    assert opened_by(tmp_path, *keys, api_key=keys[1]) == [False, True]
+    assert opened_by(tmp_path, *keys, api_key=keys[0]) == [True, False]
+
+
+def test_removing_the_key_file_closes_its_key(tmp_path: Path) -> None:
+    opened_by(tmp_path)
+    first = (tmp_path / KEY_FILE).read_text().strip()
+    (tmp_path / KEY_FILE).unlink()
+    assert opened_by(tmp_path, first) == [False]
+    second = (tmp_path / KEY_FILE).read_text().strip()
+    assert second != first
+    # a revoked key is not opened again by the file that still holds it
+    with live_service(quick_settings(tmp_path)) as live:
+        live.backend.keys.revoke(live.backend.keys.verify(second).id)
+    assert opened_by(tmp_path, second) == [False]
+    third = (tmp_path / KEY_FILE).read_text().strip()
+    assert opened_by(tmp_path, third) == [True]
+
+
+@pytest.mark.parametrize("key", ["", "short", "fifteen-letters"])
+def test_a_guessable_key_is_refused(tmp_path: Path, key: str) -> None:
+    with pytest.raises(ValueError, match="api_key"):
+        quick_settings(tmp_path, api_key=key)
+
+
+def test_a_private_file_is_written_once(tmp_path: Path) -> None:
     path = tmp_path / "key"
-    path.write_text("old")
-    path.chmod(0o644)
-    write_private(path, "new")
-    assert path.read_text() == "new\n"
+    write_private(path, "first")
+    write_private(path, "second")
+    assert path.read_text() == "first\n"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(tmp_path.iterdir()) == [path]
 

@@ -5,6 +5,8 @@ import secrets
 from dataclasses import dataclass
 
 import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
 
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
@@ -26,27 +28,43 @@ class Keys:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def create(
-        self, *, project: str = "default", label: str = "", secret: str | None = None
-    ) -> tuple[Key, str]:
-        """Make a key, or enter a given secret; the secret is returned here and never again."""
-        secret = secret or f"prtbake_{secrets.token_urlsafe(32)}"
-        if (known := self.verify(secret)) is not None:
-            return known, secret
-        row = ApiKeyRow(
-            id=secrets.token_hex(8),
-            hash=_digest(secret),
-            project=project,
-            label=label,
-            created=utc_now(),
-        )
+    def create(self, *, project: str = "default", label: str = "") -> tuple[Key, str]:
+        """Make a key; the secret is returned here and never again."""
+        secret = new_secret()
         with self._database.write() as session:
-            session.add(row)
+            row = _insert(session, secret, project, label)
         return Key(row.id, row.project, row.label), secret
+
+    def replace(self, secret: str, *, project: str = "default", label: str) -> Key:
+        """Open a key with a given secret and close the others of its label: the secret it had."""
+        try:
+            return self._replace(secret, project, label)
+        except IntegrityError:  # another service entered it at this moment
+            return self._replace(secret, project, label)
+
+    def _replace(self, secret: str, project: str, label: str) -> Key:
+        with self._database.write() as session:
+            row = session.scalars(
+                sa.select(ApiKeyRow).where(ApiKeyRow.hash == _digest(secret))
+            ).first()
+            if row is None:
+                row = _insert(session, secret, project, label)
+            row.revoked = None
+            session.execute(
+                sa.update(ApiKeyRow)
+                .where(
+                    ApiKeyRow.project == project,
+                    ApiKeyRow.label == label,
+                    ApiKeyRow.id != row.id,
+                    ApiKeyRow.revoked.is_(None),
+                )
+                .values(revoked=utc_now())
+            )
+            return Key(row.id, row.project, row.label)
 
     def verify(self, secret: str) -> Key | None:
         """Find the key that a secret opens; None if there is none or it was revoked."""
-        # 256 random bits need no slow hash, and looking up by hash leaks no timing of the secret
+        # a long random secret needs no slow hash, and looking up by hash leaks no timing of it
         with self._database.read() as session:
             row = session.scalars(
                 sa.select(ApiKeyRow).where(
@@ -54,6 +72,16 @@ class Keys:
                 )
             ).first()
             return Key(row.id, row.project, row.label) if row is not None else None
+
+    def is_revoked(self, secret: str) -> bool:
+        """Whether there was a key with this secret that has been closed."""
+        with self._database.read() as session:
+            found = session.scalars(
+                sa.select(ApiKeyRow.id).where(
+                    ApiKeyRow.hash == _digest(secret), ApiKeyRow.revoked.is_not(None)
+                )
+            ).first()
+            return found is not None
 
     def revoke(self, key_id: str) -> bool:
         """Close a key; False if there was none open."""
@@ -65,6 +93,24 @@ class Keys:
                 .returning(ApiKeyRow.id)
             ).first()
             return closed is not None
+
+
+def new_secret() -> str:
+    """Draw a secret of 256 random bits."""
+    return f"prtbake_{secrets.token_urlsafe(32)}"
+
+
+def _insert(session: Session, secret: str, project: str, label: str) -> ApiKeyRow:
+    row = ApiKeyRow(
+        id=secrets.token_hex(8),
+        hash=_digest(secret),
+        project=project,
+        label=label,
+        created=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    return row
 
 
 def _digest(secret: str) -> str:

@@ -17,6 +17,7 @@ from prtbake_storage.records import (
     Begun,
     Database,
     Jobs,
+    Key,
     Keys,
     NewArtefact,
     NewJob,
@@ -254,13 +255,45 @@ def test_keys_open_their_project_until_revoked(database: Database) -> None:
     key, secret = keys.create(project="p", label="laptop")
     assert keys.verify(secret) == key
     assert keys.verify(secret + "x") is None
-    assert keys.create(project="p", secret=secret) == (key, secret)
     with database.read() as session:
         stored = session.execute(sa.text("SELECT * FROM api_keys")).one()
     assert secret not in [str(value) for value in stored]
     assert keys.revoke(key.id)
     assert not keys.revoke(key.id)
     assert keys.verify(secret) is None
+
+
+def test_a_key_that_is_replaced_is_closed(database: Database) -> None:
+    keys = Keys(database)
+    first = keys.replace("first", label="start")
+    assert keys.replace("first", label="start") == first
+    _, other = keys.create(label="laptop")
+    second = keys.replace("second", label="start")
+    assert (keys.verify("first"), keys.verify("second")) == (None, second)
+    assert keys.is_revoked("first")
+    assert not keys.is_revoked("second")
+    assert not keys.is_revoked("never heard of")
+    assert keys.verify(other) is not None
+    # given by hand again: that is what the operator wants
+    assert keys.replace("first", label="start") == first
+    assert keys.verify("second") is None
+
+
+def test_services_that_start_at_once_agree_on_a_key(database: Database) -> None:
+    n_threads = 6
+    start = threading.Barrier(n_threads)
+    made: list[Key] = []
+
+    def run() -> None:
+        start.wait()
+        made.append(Keys(database).replace("the same", label="start"))
+
+    threads = [threading.Thread(target=run) for _ in range(n_threads)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [made[0]] * n_threads
 
 
 def test_heartbeats_age_by_the_databases_clock(database: Database) -> None:
