@@ -11,14 +11,17 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 
 from prtbake_storage.contract.jobs import Problem
-from prtbake_storage.errors import PrtError, ResourceExhausted, Unauthorised
+from prtbake_storage.errors import PrtError, Unauthorised
 
 PROBLEM_JSON = "application/problem+json"
 RETRY_AFTER_S = "5"
+RETRIED = frozenset({429, 503})
 log = logging.getLogger(__name__)
 
 CODES = {
@@ -57,11 +60,12 @@ class MalformedRequest(PrtError, ValueError):
 
 
 def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> Response:
-    """Render a problem."""
+    """Render a problem; what may be otherwise soon says when to ask again."""
+    soon = {"Retry-After": RETRY_AFTER_S} if problem.status in RETRIED else {}
     return JSONResponse(
         problem.model_dump(mode="json", exclude_none=True),
         status_code=problem.status,
-        headers=headers,
+        headers=soon | (headers or {}),
         media_type=PROBLEM_JSON,
     )
 
@@ -130,8 +134,6 @@ def on_prt_error(request: Request, error: Exception) -> Response:
     headers = {}
     if isinstance(error, Unauthorised):
         headers["WWW-Authenticate"] = 'Bearer realm="prtbake"'
-    if isinstance(error, ResourceExhausted):
-        headers["Retry-After"] = RETRY_AFTER_S
     problem = Problem(
         title=title_of(status),
         status=status,
@@ -181,6 +183,18 @@ def allowed_methods(request: Request, known: str) -> list[str]:
     return sorted(methods)
 
 
+def on_database_error(request: Request, error: Exception) -> Response:
+    """Render that the database is away or too busy."""
+    log.error("database.away", exc_info=error)
+    problem = Problem(
+        title=title_of(503),
+        status=503,
+        detail="the database does not answer at the moment: ask again soon",
+        code="database-away",
+    )
+    return problem_response(problem)
+
+
 def internal_problem() -> Problem:
     """Return what a caller learns of a fault of ours: nothing but that it is logged."""
     return Problem(
@@ -196,3 +210,5 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(PrtError, on_prt_error)
     app.add_exception_handler(RequestValidationError, on_validation_error)
     app.add_exception_handler(HTTPException, on_http_exception)
+    for away in (OperationalError, InterfaceError, PoolTimeout):
+        app.add_exception_handler(away, on_database_error)

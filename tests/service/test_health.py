@@ -1,10 +1,15 @@
 import shutil
+import sqlite3
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
 import pytest
+import sqlalchemy as sa
 
 from prtbake_service.testing import LiveService, live_service, quick_settings
+from prtbake_storage.testing.postgres import fresh_database
 
 
 def get(service: LiveService, path: str) -> httpx.Response:
@@ -35,7 +40,62 @@ def test_not_ready_without_blobs(tmp_path: Path) -> None:
         answer = get(live, "/readyz")
         assert answer.status_code == 503
         assert answer.json()["blobs"] == "failed"
+        assert answer.headers["retry-after"].isdigit()
         assert get(live, "/healthz").status_code == 200
+
+
+def test_health_answers_while_every_thread_waits_for_the_database(tmp_path: Path) -> None:
+    with live_service(quick_settings(tmp_path)) as live, ThreadPoolExecutor(60) as pool:
+        writer = sqlite3.connect(tmp_path / "prtbake.sqlite", isolation_level=None)
+        writer.execute("BEGIN IMMEDIATE")
+        headers = {"Authorization": f"Bearer {live.key}"}
+        body = {"builtin": {"name": "hall", "width": 32}}
+
+        def register() -> int:
+            url = f"{live.url}/v1/environments"
+            answer = httpx.post(url, json=body, headers=headers, timeout=60, trust_env=False)
+            return answer.status_code
+
+        waiting = [pool.submit(register) for _ in range(60)]
+        time.sleep(1.0)
+        try:
+            answer = httpx.get(f"{live.url}/healthz", timeout=5.0, trust_env=False)
+        finally:
+            writer.execute("ROLLBACK")
+            writer.close()
+        assert answer.status_code == 200
+        assert {one.result() for one in waiting} == {202}
+
+
+@pytest.mark.postgres
+def test_a_database_that_is_away_is_said_to_be(postgres_url: str, tmp_path: Path) -> None:
+    with (
+        fresh_database(postgres_url) as url,
+        live_service(quick_settings(tmp_path, database_url=url)) as live,
+    ):
+        outside = sa.create_engine(
+            sa.make_url(postgres_url).set(drivername="postgresql+psycopg"),
+            isolation_level="AUTOCOMMIT",
+        )
+        name = sa.make_url(url).database
+        headers = {"Authorization": f"Bearer {live.key}"}
+        with outside.connect() as connection:
+            connection.execute(sa.text(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false"))
+            connection.execute(
+                sa.text(
+                    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :n"
+                ),
+                {"n": name},
+            )
+            away = httpx.get(f"{live.url}/v1/jobs", headers=headers, trust_env=False)
+            ready = get(live, "/readyz")
+            connection.execute(sa.text(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true"))
+        outside.dispose()
+        assert (away.status_code, away.json()["code"]) == (503, "database-away")
+        assert away.headers["retry-after"].isdigit()
+        assert (ready.status_code, ready.json()["database"]) == (503, "failed")
+        back = httpx.get(f"{live.url}/v1/jobs", headers=headers, trust_env=False)
+        assert back.status_code == 200
 
 
 def test_metrics(service: LiveService, http: httpx.Client, submit) -> None:

@@ -83,7 +83,9 @@ def test_a_fault_of_ours_is_no_refusal(service: LiveService, http, kind, status:
     body = {"builtin": {"name": "hall", "width": 64 if kind == "resource" else 128}}
     error = JobError(kind=kind, code="oops", detail="out of memory")
     service.answer_next("register", lambda job: service.fail(job, error))
-    assert http.post("/v1/environments", json=body, headers=PATIENT).status_code == status
+    answer = http.post("/v1/environments", json=body, headers=PATIENT)
+    assert answer.status_code == status
+    assert ("retry-after" in answer.headers) == (status == 503)
 
 
 def test_the_blob_must_be_there(http: httpx.Client) -> None:

@@ -7,14 +7,16 @@ from fastapi import APIRouter, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from prtbake_service.backend import BackendDep
+from prtbake_service.errors_http import RETRY_AFTER_S
 
 router = APIRouter(tags=["health"])
 log = logging.getLogger(__name__)
 
 
 @router.get("/healthz")
-def healthz() -> dict[str, str]:
+async def healthz() -> dict[str, str]:
     """Tell that the process answers."""
+    # in the event loop: requests that wait for the database may hold every thread
     return {"status": "ok"}
 
 
@@ -31,7 +33,9 @@ def readyz(backend: BackendDep, response: Response) -> dict[str, str | int]:
     ready = set(checks.values()) == {"ok"}
     if checks["database"] == "ok":
         checks["workers"] = backend.workers_alive()
-    response.status_code = 200 if ready else 503
+    if not ready:
+        response.status_code = 503
+        response.headers["Retry-After"] = RETRY_AFTER_S
     return {"status": "ready" if ready else "not ready"} | checks
 
 
