@@ -205,6 +205,19 @@ def test_an_id_can_be_used_again_after_delete(service: LiveService, http, enviro
     assert service.backend.queue.statuses(["phoenix"]) == {"phoenix": "ENQUEUED"}
 
 
+def test_an_id_whose_deletion_was_cut_short_can_be_used_again(
+    service: LiveService, http, environment: str
+) -> None:
+    http.put("/v1/jobs/half-gone", json=body_of(environment))
+    http.post("/v1/jobs/half-gone/cancel")
+    service.backend.jobs.delete("half-gone")  # and the process dies before the engine is told
+    assert service.backend.queue.statuses(["half-gone"]) == {"half-gone": "CANCELLED"}
+    assert http.put("/v1/jobs/half-gone", json=body_of(environment, seed=5)).status_code == 202
+    reconcile_once(service.backend.database, service.backend.queue)
+    assert http.get("/v1/jobs/half-gone").json()["state"] == "queued"
+    assert service.backend.queue.statuses(["half-gone"]) == {"half-gone": "ENQUEUED"}
+
+
 def test_lists_page_in_a_stable_order(http, submit) -> None:
     made = [submit(label="paged")["id"] for _ in range(5)]
     seen: list[str] = []

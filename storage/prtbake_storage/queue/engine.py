@@ -29,7 +29,8 @@ workflows change, after the queues were drained; dbos's default, a hash of the s
 every job at each edit."""
 
 JOBS, TASKS, QUICK = "jobs", "tiles", "quick"
-ENDED = frozenset({"SUCCESS", "ERROR", "CANCELLED", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"})
+GIVEN_UP = "MAX_RECOVERY_ATTEMPTS_EXCEEDED"
+ENDED = frozenset({"SUCCESS", "ERROR", "CANCELLED", GIVEN_UP})
 PARENT_LOSSES = 100
 """Workers that may be lost under a parent: the poison limit belongs to its tasks."""
 

@@ -10,7 +10,7 @@ import threading
 from datetime import UTC, datetime, timedelta
 
 from prtbake_storage.contract.jobs import JobError, JobState
-from prtbake_storage.queue.engine import ENDED, JobQueue
+from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.runs import Runs, Stop, Unfinished
 from prtbake_storage.records.workers import Workers
@@ -38,7 +38,7 @@ def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float =
             queue.submit(job.job_id, quick=job.quick, priority=job.priority)
             _log.info("job.resubmitted", extra={"job_id": job.job_id})
             mended += 1
-        elif status == "SUCCESS" and job.state == JobState.queued:
+        elif job.state == JobState.queued and status in ENDED - {GIVEN_UP}:
             # it never ran, so the workflow is that of an earlier job with this id
             queue.forget(job.job_id)
             queue.submit(job.job_id, quick=job.quick, priority=job.priority)
@@ -99,9 +99,9 @@ class Reconciler:
 
 
 def _verdict(job: Unfinished, status: str) -> Stop:
-    if status == "CANCELLED":
+    if job.state == JobState.cancel_requested:
         return Stop(JobState.canceled)
-    if status == "MAX_RECOVERY_ATTEMPTS_EXCEEDED":
+    if status == GIVEN_UP:
         detail = "too many workers were lost while they ran this job: it is given up"
         return Stop(JobState.failed, JobError(kind="resource", code="poison-task", detail=detail))
     detail = f"the engine ended this job as {status} while it was {job.state}"

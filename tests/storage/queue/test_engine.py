@@ -47,6 +47,9 @@ def test_two_databases_in_one_folder_share_no_work(tmp_path: Path) -> None:
         queue.close()
 
 
+NO_ERROR = JobError(kind="internal", code="none", detail="")
+
+
 def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQueue) -> None:
     """One walk through all calls: setting the engine up costs more than using it."""
     jobs, runs = Jobs(database), Runs(database)
@@ -80,11 +83,19 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.open_tasks("sent") == {renewed: "ENQUEUED", second: "ENQUEUED"}
     assert queue.claims(["nobody"]) == []
 
-    # a row whose workflow was ended behind its back is closed
+    # a queued row whose workflow has ended never ran: the workflow is an earlier job's, whose
+    # deletion was cut short
+    queue.cancel(["ended"])
+    assert reconcile_once(database, queue) == 1
+    assert jobs.get("ended").state == JobState.queued
+    assert queue.statuses(["ended"]) == {"ended": "ENQUEUED"}
+    assert reconcile_once(database, queue) == 0
+    # a running row whose workflow was ended behind its back is closed
+    runs.start("ended")
     queue.cancel(["ended"])
     assert reconcile_once(database, queue) == 1
     job = jobs.get("ended")
-    assert (job.state, job.error) == ("canceled", None)
+    assert (job.state, (job.error or NO_ERROR).code) == ("failed", "engine")
 
     # with nobody alive a wish to cancel is fulfilled at once; with a worker it is the worker's
     runs.start("sent")
