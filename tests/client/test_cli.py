@@ -393,6 +393,16 @@ def test_no_service() -> None:
     assert result.exit_code == Exit.unreachable
 
 
+def test_a_fault_of_the_service_is_no_refusal(
+    run: Run, service: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def explode(*_: object, **__: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(type(service.backend.jobs), "page", explode)
+    assert run("ls").exit_code == Exit.service
+
+
 def test_a_wrong_key(service: LiveService) -> None:
     result = CliRunner().invoke(app, ["--url", service.url, "--key", "wrong", "ls"])
     assert result.exit_code == Exit.refused

@@ -1,4 +1,5 @@
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -6,7 +7,15 @@ import httpx
 import pytest
 
 import prtbake
-from prtbake import Client, Conflict, InvalidRequest, JobNotSucceeded, NotFound, Unauthorised
+from prtbake import (
+    Client,
+    Conflict,
+    InvalidRequest,
+    JobNotSucceeded,
+    NotFound,
+    Unauthorised,
+    retrying,
+)
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.brdf import GgxSpec
 from prtbake_storage.contract.jobs import AssetRequest, FitLightRequest, JobError, Progress
@@ -221,3 +230,80 @@ def test_a_lost_answer_is_asked_for_with_the_same_key() -> None:
         client.submit({"kind": "fit_light"})
     assert len(keys) == 2
     assert keys[0] == keys[1]
+
+
+class Gate(httpx.HTTPTransport):
+    """The way to the service; while ``down`` it is refused, or a proxy answers in its place."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.down: str | None = None
+
+    def handle_request(self, request: httpx.Request) -> httpx.Response:
+        if self.down == "refused":
+            raise httpx.ConnectError("refused", request=request)
+        if self.down == "faulty":
+            return httpx.Response(502, request=request, text="bad gateway")
+        return super().handle_request(request)
+
+
+@pytest.mark.parametrize("how", ["refused", "faulty"])
+@pytest.mark.parametrize("call", ["wait", "wait without limit", "events"])
+def test_waiting_survives_a_restart_of_the_service(
+    service: LiveService, fit: dict[str, Any], how: str, call: str
+) -> None:
+    gate = Gate()
+    with Client(service.url, key=service.key, transport=gate) as client:
+        job = client.submit(fit)
+
+        def restart() -> None:
+            gate.down = how
+            service.begin(job.id)  # which ends the long poll under way
+            time.sleep(2.0)  # longer than a plain request is repeated
+            service.succeed(job.id, {})
+            gate.down = None
+
+        if call == "events":
+            reader = client.events(job.id)
+            assert next(reader).data["state"] == "queued"
+            reader.close()
+            gate.down = how
+            restarting = threading.Thread(target=restart)
+            restarting.start()
+            seen = [event.data["state"] for event in client.events(job.id)]
+            assert seen == ["queued", "running", "succeeded"]
+        else:
+            limit = 30.0 if call == "wait" else None
+            followed = client.follow(job.id, timeout_s=limit)
+            assert next(followed).state == "queued"
+            restarting = threading.Thread(target=restart)
+            restarting.start()
+            assert list(followed)[-1].state == "succeeded"
+        restarting.join()
+
+
+def test_patience_has_an_end(
+    service: LiveService, fit: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrying, "AWAY_S", 0.3)
+    gate = Gate()
+    with Client(service.url, key=service.key, transport=gate, retries=0) as client:
+        job = client.submit(fit)
+        for how, error in (
+            ("refused", prtbake.ServiceUnreachable),
+            ("faulty", prtbake.ServiceFailed),
+        ):
+            for limit in (None, 0.3):
+                gate.down = None
+                followed = client.follow(job.id, timeout_s=limit)
+                next(followed)
+                gate.down = how
+                with pytest.raises((error, prtbake.WaitTimeout)):
+                    next(followed)
+            with pytest.raises(error):
+                next(client.events(job.id))
+        # and a service that was never seen is not waited for
+        start = time.monotonic()
+        with pytest.raises(prtbake.ServiceFailed):
+            client.wait(job.id, timeout_s=30.0)
+        assert time.monotonic() - start < 5.0

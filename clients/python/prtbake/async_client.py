@@ -14,13 +14,14 @@ from prtbake import calls
 from prtbake.client import OnBytes
 from prtbake.config import discover
 from prtbake.download import PartialFile
-from prtbake.errors import JobNotSucceeded, WaitTimeout
+from prtbake.errors import JobNotSucceeded, ServiceFailed, ServiceUnreachable, WaitTimeout
 from prtbake.files import chunks_async, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
     REGISTER_S,
     STREAM_SILENCE_S,
+    Patience,
     check,
     client_options,
     pause_after,
@@ -143,6 +144,7 @@ class AsyncClient:
         if job is None:
             raise RuntimeError("304 without having asked for it")
         yield job
+        patience = Patience(None if timeout_s is None else start + timeout_s)
         while not job.state.terminal:
             left = LONG_POLL_S
             if timeout_s is not None:
@@ -150,7 +152,14 @@ class AsyncClient:
                 if left <= 0:
                     raise WaitTimeout(job, timeout_s)
             call = calls.get_job(job_id, wait_s=round(left, 3), etag=etag)
-            changed, etag = await self._send(call, extra_s=left)
+            try:
+                changed, etag = await self._send(call, extra_s=left)
+            except (ServiceUnreachable, ServiceFailed):
+                if (pause := patience.pause()) is None:
+                    raise
+                await anyio.sleep(pause)
+                continue
+            patience.answered()
             if changed is not None:
                 job = changed
                 yield job
@@ -171,7 +180,7 @@ class AsyncClient:
     ) -> AsyncIterator[Event]:
         """Yield the job's events from the first (or from ``after``) to its end."""
         reader = EventReader(after)
-        failures = 0
+        patience = Patience()
         while True:
             try:
                 async with self._http.stream(
@@ -187,16 +196,17 @@ class AsyncClient:
                     if response.status_code == 204:
                         return
                     async for line in response.aiter_lines():
+                        patience.answered()
                         if (event := reader.feed(line)) is not None:
-                            failures = 0
                             yield event
                     if not follow:
                         return
-            except httpx.TransportError as error:
-                failures += 1
-                if failures > self._retries:
-                    raise unreachable(self.url, error) from error
-                await anyio.sleep(0.2 * failures)
+            except (httpx.TransportError, ServiceFailed) as error:
+                if (pause := patience.pause()) is None:
+                    if isinstance(error, httpx.TransportError):
+                        raise unreachable(self.url, error) from error
+                    raise
+                await anyio.sleep(pause)
 
     async def cancel(self, job_id: str) -> Job:
         """Ask for a job to stop; doing so twice, or after its end, changes nothing."""

@@ -12,13 +12,14 @@ import httpx
 from prtbake import calls
 from prtbake.config import discover
 from prtbake.download import PartialFile
-from prtbake.errors import JobNotSucceeded, WaitTimeout
+from prtbake.errors import JobNotSucceeded, ServiceFailed, ServiceUnreachable, WaitTimeout
 from prtbake.files import chunks, file_digest
 from prtbake.outcome import estimate_of, job_of_estimate, parsed
 from prtbake.retrying import (
     LONG_POLL_S,
     REGISTER_S,
     STREAM_SILENCE_S,
+    Patience,
     check,
     client_options,
     pause_after,
@@ -162,6 +163,9 @@ class Client:
     def follow(self, job_id: str, *, timeout_s: float | None = None) -> Iterator[Job]:
         """Yield the job now and whenever it changes, until it has ended.
 
+        Once the job is known, a service that is away or at fault is asked again until ``timeout_s``
+        is over, or for a minute.
+
         Raises
         ------
         WaitTimeout
@@ -172,6 +176,7 @@ class Client:
         if job is None:
             raise RuntimeError("304 without having asked for it")
         yield job
+        patience = Patience(None if timeout_s is None else start + timeout_s)
         while not job.state.terminal:
             left = LONG_POLL_S
             if timeout_s is not None:
@@ -179,7 +184,14 @@ class Client:
                 if left <= 0:
                     raise WaitTimeout(job, timeout_s)
             call = calls.get_job(job_id, wait_s=round(left, 3), etag=etag)
-            changed, etag = self._send(call, extra_s=left)
+            try:
+                changed, etag = self._send(call, extra_s=left)
+            except (ServiceUnreachable, ServiceFailed):
+                if (pause := patience.pause()) is None:
+                    raise
+                time.sleep(pause)
+                continue
+            patience.answered()
             if changed is not None:
                 job = changed
                 yield job
@@ -205,10 +217,10 @@ class Client:
         """Yield the job's events from the first (or from ``after``) to its end.
 
         Without ``follow`` only those that there are now.
-        A stream that breaks off is opened again at the last event seen.
+        A stream that breaks off is opened again at the last event seen, for a minute without one.
         """
         reader = EventReader(after)
-        failures = 0
+        patience = Patience()
         while True:
             try:
                 with self._http.stream(
@@ -224,16 +236,17 @@ class Client:
                     if response.status_code == 204:
                         return
                     for line in response.iter_lines():
+                        patience.answered()
                         if (event := reader.feed(line)) is not None:
-                            failures = 0
                             yield event
                     if not follow:
                         return
-            except httpx.TransportError as error:
-                failures += 1
-                if failures > self._retries:
-                    raise unreachable(self.url, error) from error
-                time.sleep(0.2 * failures)
+            except (httpx.TransportError, ServiceFailed) as error:
+                if (pause := patience.pause()) is None:
+                    if isinstance(error, httpx.TransportError):
+                        raise unreachable(self.url, error) from error
+                    raise
+                time.sleep(pause)
 
     def cancel(self, job_id: str) -> Job:
         """Ask for a job to stop; doing so twice, or after its end, changes nothing."""

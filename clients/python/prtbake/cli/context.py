@@ -17,6 +17,7 @@ from prtbake.errors import (
     DownloadError,
     JobNotSucceeded,
     PrtbakeError,
+    ServiceFailed,
     ServiceUnreachable,
     WaitTimeout,
 )
@@ -71,6 +72,8 @@ def code_of(error: PrtbakeError) -> Exit:
     match error:
         case JobNotSucceeded():
             return exit_of(error.job.state)
+        case ServiceFailed():
+            return Exit.service
         case ApiError():
             return Exit.refused
         case ServiceUnreachable():

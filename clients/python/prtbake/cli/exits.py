@@ -18,12 +18,14 @@ class Exit(IntEnum):
     unreachable = 7  # no service answered
     timeout = 8  # the job goes on, the waiting does not
     corrupt = 9  # a download that does not match its digest
+    service = 10  # the service is at fault or overloaded
     interrupted = 130  # Ctrl-C
 
 
 LEGEND = (
     "Exit codes: 0 success, 1 error, 2 usage, 3 job failed, 4 job canceled, 5 job expired,"
-    " 6 request refused, 7 service unreachable, 8 wait timed out, 9 download corrupt."
+    " 6 request refused, 7 service unreachable, 8 wait timed out, 9 download corrupt,"
+    " 10 service failed or overloaded."
 )
 
 _OF_STATE = {
