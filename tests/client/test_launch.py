@@ -37,6 +37,20 @@ def test_a_process_that_dies_at_its_start_is_reported(
 
 
 @pytest.mark.acceptance
+def test_a_directory_of_its_own_takes_no_storage_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``prtbake demo`` runs: its blobs are removed, and no other database may refer to them."""
+    monkeypatch.setenv("PRTBAKE_DATABASE_URL", f"sqlite:///{tmp_path / 'production.sqlite'}")
+    monkeypatch.setenv("PRTBAKE_BLOB_URL", (tmp_path / "production").as_uri())
+    own = tmp_path / "own"
+    with LocalService(own, n_workers=1, embedded=True):
+        assert (own / "prtbake.sqlite").exists()
+        assert (own / "blobs").is_dir()
+    assert not list(tmp_path.glob("production*"))
+
+
+@pytest.mark.acceptance
 def test_serve_from_start_to_stop(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "prtbake.cli.main", "serve", "--data-dir", str(tmp_path)]
     process = subprocess.Popen(

@@ -122,6 +122,8 @@ class Resolver:
             resource = self._backend.resources.get(resource_id, project=self._project)
         except NotFound as error:
             raise NotFound(f"there is no {kind} {resource_id}", pointer=pointer) from error
+        if resource.canonical and not self._backend.blobs.exists(resource.canonical):
+            raise Conflict(f"the file of {resource.id} is gone: register it again", pointer=pointer)
         return _usable(resource, pointer)
 
     def _artefacts(self, **references: str) -> dict[str, Context]:
