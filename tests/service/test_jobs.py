@@ -10,8 +10,8 @@ from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import Job, JobError, JobPage, Progress
 from prtbake_storage.queue.memo import Memory, recall, remember
 from prtbake_storage.queue.reconcile import reconcile_once
-from support.rows import context_of
 from prtbake_storage.queue.stages import Measured
+from support.rows import context_of
 
 PATIENT = {"Prefer": "wait=30"}
 
