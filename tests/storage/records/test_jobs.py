@@ -182,7 +182,11 @@ def test_a_deadline_counts_from_the_start(database: Database) -> None:
     runs.start("late")
     runs.start("in-time")
     threading.Event().wait(0.05)
-    assert runs.stop("late") == Stop(JobState.expired)
+    stop = runs.stop("late")
+    assert stop is not None
+    assert stop.state is JobState.expired
+    assert stop.error is not None
+    assert "time limit of 0.001 s" in stop.error.detail
     assert runs.stop("in-time") is None
 
 
