@@ -3,7 +3,8 @@
 ``PRTBAKE_DATA`` names the folder with the ``meshes``, ``environments`` and ``brdfs`` of the
 real-data suite.  Where it is unset, the tests marked ``real_data`` are deselected (never skipped).
 Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
-server gives them one, and those marked ``own_postgres`` where none is installed.
+server gives them one, and those marked ``own_postgres`` where none is installed;
+``PRTBAKE_REQUIRE_POSTGRES=1`` (set in CI) keeps them, so that they fail instead.
 """
 
 import os
@@ -21,6 +22,7 @@ from prtbake_storage.testing.postgres import (
 )
 
 DATA_VARIABLE = "PRTBAKE_DATA"
+POSTGRES_VARIABLE = "PRTBAKE_REQUIRE_POSTGRES"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -28,10 +30,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     lacking = []
     if not os.environ.get(DATA_VARIABLE):
         lacking.append("real_data")
-    if not available():
-        lacking.append("postgres")
-    if find_postgres() is None:
-        lacking.append("own_postgres")
+    if not os.environ.get(POSTGRES_VARIABLE):
+        if not available():
+            lacking.append("postgres")
+        if find_postgres() is None:
+            lacking.append("own_postgres")
     out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
     if out:
         config.hook.pytest_deselected(items=out)
@@ -45,7 +48,8 @@ def pytest_report_header() -> list[str]:
     if not os.environ.get(DATA_VARIABLE):
         header.append(f"real data: none ({DATA_VARIABLE} is unset): its tests are deselected")
     if not available():
-        header.append("postgresql: not installed: its tests are deselected")
+        fate = "fail" if os.environ.get(POSTGRES_VARIABLE) else "are deselected"
+        header.append(f"postgresql: not installed: its tests {fate}")
     return header
 
 

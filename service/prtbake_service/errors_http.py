@@ -47,7 +47,7 @@ class ProblemError(PrtError):
 
 
 class MalformedRequest(PrtError, ValueError):
-    """A request that the models accept but whose parts do not fit together."""
+    """A request that the models refuse."""
 
     code = "malformed-request"
     kind = "input"
@@ -101,7 +101,7 @@ def pointer_to(loc: Sequence[str | int], body: Any) -> str:
     return "".join(f"/{step}" for step in steps)
 
 
-def validation_entries(errors: Sequence[Any], body: Any, prefix: str = "") -> list[dict[str, Any]]:
+def validation_entries(errors: Sequence[Any], body: Any) -> list[dict[str, Any]]:
     """Return one ``{pointer, detail}`` for each thing that is wrong, each pointer once."""
     entries: dict[str, dict[str, Any]] = {}
     for error in errors:
@@ -110,7 +110,7 @@ def validation_entries(errors: Sequence[Any], body: Any, prefix: str = "") -> li
         if error["type"] == "json_invalid":
             where, detail = "", f"the body is not JSON: {error['ctx']['error']}"
         elif source == "body":
-            where, detail = prefix + pointer_to(loc, body), error["msg"]
+            where, detail = pointer_to(loc, body), error["msg"]
         else:
             # not in the body: the name stands in the sentence, and there is nothing to point to
             where, detail = "", f"{source} parameter {'.'.join(map(str, loc))}: {error['msg']}"

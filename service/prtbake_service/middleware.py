@@ -16,6 +16,8 @@ from prtbake_service.health.metrics import Metrics
 log = logging.getLogger(__name__)
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 _SAFE_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+# anything else is made up by the caller, and each name would be a series of its own
+_METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 _SECURITY = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 
 
@@ -69,7 +71,8 @@ class RequestContext:
         finally:
             seconds = time.perf_counter() - start
             route = getattr(scope.get("route"), "path", "unmatched")
-            self.metrics.observe(scope["method"], route, status, seconds)
+            method = scope["method"] if scope["method"] in _METHODS else "other"
+            self.metrics.observe(method, route, status, seconds)
             log.info(
                 "request.done",
                 extra={

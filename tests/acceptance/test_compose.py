@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import venv
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from packaging.utils import canonicalize_name
 
 from prtbake import Client, Unauthorised
 from prtbake_service.settings import DEFAULT_PORT
+from prtbake_service.testing import live_service, quick_settings
 from prtbake_storage.contract.resources import EnvironmentRegistration
 from prtbake_storage.testing.postgres import find_postgres, fresh_database
 from support.deployment import free_port, stop, until
@@ -236,6 +238,32 @@ def test_the_parts_fit_together() -> None:
         )
     assert services["worker"]["deploy"]["replicas"] == 2
     assert services["service"]["ports"] == [f"127.0.0.1:8420:{DEFAULT_PORT}"]
+
+
+def test_what_ends_is_started_again() -> None:
+    for service in COMPOSE["services"].values():
+        assert service["restart"] == "unless-stopped"
+    # a task's processes may outlive it, and the first process of a container must reap them
+    assert COMPOSE["services"]["service"]["init"]
+    assert COMPOSE["services"]["worker"]["init"]
+
+
+def test_the_services_health_command(tmp_path: Path) -> None:
+    kind, program, *arguments = COMPOSE["services"]["service"]["healthcheck"]["test"]
+    assert (kind, program) == ("CMD", "python")
+
+    def healthy(url: str) -> bool:
+        asked = [text.replace(f"http://127.0.0.1:{DEFAULT_PORT}", url) for text in arguments]
+        assert asked != arguments
+        done = subprocess.run([sys.executable, *asked], capture_output=True, check=False)
+        return done.returncode == 0
+
+    with live_service(quick_settings(tmp_path)) as live:
+        assert healthy(live.url)
+        (tmp_path / "blobs").rename(tmp_path / "gone")
+        (tmp_path / "blobs").write_text("in the way")
+        assert not healthy(live.url)
+    assert not healthy(live.url)
 
 
 @pytest.mark.postgres

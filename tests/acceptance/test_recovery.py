@@ -30,6 +30,7 @@ from support.deployment import (
     until,
 )
 from support.main_job import HEAVY_BAKE, Finished, main_request
+from support.rows import context_of
 
 pytestmark = pytest.mark.acceptance
 
@@ -176,7 +177,7 @@ def test_kill_9_of_the_service_between_two_commits(installation: Installation) -
 def bake_tasks(installation: Installation, job_id: str) -> list[Task]:
     """The tiles of a job whose plan is made; none before."""
     job = installation.jobs.get(job_id)
-    stages = REGISTRY.stages(job.kind, job.request, installation.jobs.context(job_id))
+    stages = REGISTRY.stages(job.kind, job.request, context_of(installation.database, job_id))
     assert stages[BAKE].name == "bake"
     results = Results()
     (plan,) = stages[0].tasks(results)

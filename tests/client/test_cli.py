@@ -1,18 +1,24 @@
 """The command line against a real service: what it prints, what it exits with."""
 
 import json
+import os
+import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
 from prtbake_service.testing import LiveService
+from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
 from prtbake_storage.records import Stop
 
@@ -200,6 +206,47 @@ def test_get(run: Run, service: LiveService, submitted: str, tmp_path: Path) -> 
     missing = run("get", submitted, "c.bin", "--to", tmp_path)
     assert missing.exit_code == Exit.error
     assert "a.bin, b.bin" in missing.stderr
+
+
+def test_get_of_a_job_without_files_is_no_success(
+    run: Run, service: LiveService, environment: str, tmp_path: Path
+) -> None:
+    def submit() -> str:
+        made = run("submit", "fit-light", "--environment", environment, "-o", "json")
+        return str(json.loads(made.stdout)["id"])
+
+    job = submit()
+    waiting = run("get", job, "--to", tmp_path)
+    assert (waiting.exit_code, waiting.stdout) == (Exit.error, "")
+    assert "is queued: it has no files" in waiting.stderr
+    run("cancel", job)
+    assert run("get", job, "--to", tmp_path).exit_code == Exit.canceled
+    job = submit()
+    service.fail(job, JobError(kind="input", code="bad", detail="too few lobes"))
+    failed = run("get", job, "light.h5", "--to", tmp_path)
+    assert failed.exit_code == Exit.failed
+    assert "too few lobes" in failed.stderr
+
+
+def test_a_reader_may_leave_early(run: Run, service: LiveService, submitted: str) -> None:
+    """As ``prtbake logs JOB | head -1`` does."""
+    service.succeed(submitted, {})
+    for command in (["logs", submitted, "-o", "json"], ["watch", submitted], ["show", submitted]):
+        reader, writer = os.pipe()
+        os.close(reader)
+        target = ["--url", service.url, "--key", service.key]
+        told = subprocess.run(
+            [sys.executable, "-m", "prtbake.cli.main", *target, *command],
+            stdout=writer, stderr=subprocess.PIPE, text=True, check=False,
+        ).stderr  # fmt: skip
+        os.close(writer)
+        assert "roken" not in told
+        assert "Traceback" not in told
+
+
+def test_version() -> None:
+    result = CliRunner().invoke(app, ["--version"])
+    assert (result.exit_code, result.stdout) == (0, f"prtbake {__version__}\n")
 
 
 def test_get_of_damaged_bytes(
@@ -392,6 +439,14 @@ def test_a_binary_file_goes_to_the_parser_and_its_refusal_is_told(
     assert refusal.detail in result.stderr
 
 
+def test_a_binary_file_is_no_brdf(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "some.binary"
+    path.write_bytes(b'{"\xff\xfe')
+    result = run("submit", "bake", "--mesh", "x", "--brdf", path)
+    assert (result.exit_code, result.exception.__class__) == (Exit.usage, SystemExit)
+    assert "binary" in result.stderr
+
+
 def test_no_service() -> None:
     result = CliRunner().invoke(app, ["--url", "http://127.0.0.1:9", "ls"])
     assert result.exit_code == Exit.unreachable
@@ -421,18 +476,12 @@ def test_every_exit_code_is_documented() -> None:
 
 def test_all_commands_have_help() -> None:
     text = CliRunner().invoke(app, ["--help"]).output
-    for name in [
-        "demo",
-        "serve",
-        "submit",
-        "wait",
-        "watch",
-        "logs",
-        "get",
-        "cancel",
-        "ls",
-        "estimate",
-    ]:
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    listed = re.search(r"`prtbake --help` lists `([^`]+)`", readme)
+    assert listed is not None
+    names = listed[1].split()
+    assert set(names) == set(typer.main.get_group(app).commands)
+    for name in names:
         assert name in text
         assert CliRunner().invoke(app, [name, "--help"]).exit_code == 0
 

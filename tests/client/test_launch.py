@@ -16,6 +16,7 @@ from prtbake.config import discover
 from prtbake.launch import LocalService
 from prtbake_storage.contract.brdf import GgxSpec
 from prtbake_storage.contract.resources import BrdfRegistration
+from support.deployment import free_port
 
 
 def test_the_port_may_be_taken(tmp_path: Path) -> None:
@@ -37,16 +38,33 @@ def test_a_process_that_dies_at_its_start_is_reported(
 
 
 @pytest.mark.acceptance
+def test_a_directory_of_its_own_takes_no_storage_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``prtbake demo`` runs: its blobs are removed, and no other database may refer to them."""
+    monkeypatch.setenv("PRTBAKE_DATABASE_URL", f"sqlite:///{tmp_path / 'production.sqlite'}")
+    monkeypatch.setenv("PRTBAKE_BLOB_URL", (tmp_path / "production").as_uri())
+    own = tmp_path / "own"
+    with LocalService(own, n_workers=1, embedded=True):
+        assert (own / "prtbake.sqlite").exists()
+        assert (own / "blobs").is_dir()
+    assert not list(tmp_path.glob("production*"))
+
+
+@pytest.mark.acceptance
 def test_serve_from_start_to_stop(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "prtbake.cli.main", "serve", "--data-dir", str(tmp_path)]
+    port = free_port()
     process = subprocess.Popen(
-        [*command, "--workers", "1", "--port", "0"], stderr=subprocess.PIPE, text=True
-    )
+        [*command, "--workers", "1"],
+        env=os.environ | {"PRTBAKE_PORT": str(port)}, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
     try:
         # at once, as the next line of a script would
         endpoint = discover(data_dir=tmp_path, grace_s=30.0)
         with pytest.raises(LaunchError, match="already"), LocalService(tmp_path):
             pass
+        assert endpoint.url == f"http://127.0.0.1:{port}"
         assert endpoint.url == json.loads((tmp_path / "server.json").read_text())["url"]
         with Client(data_dir=tmp_path) as client:
             brdf = client.register(BrdfRegistration(spec=GgxSpec(alpha=0.4)))

@@ -105,6 +105,11 @@ def test_metrics(service: LiveService, http: httpx.Client, submit) -> None:
     # the template, not the path: a label for each job id would fill any memory
     assert 'route="/v1/jobs/{job_id}",status="404"' in text
     assert "nothing-here" not in text
+    # nor does a made-up method become a label
+    assert http.request("BREW", "/healthz").status_code == 405
+    text = get(service, "/metrics").text
+    assert 'method="other",route="/healthz",status="405"' in text
+    assert "BREW" not in text
     assert 'prtbake_jobs{state="queued"}' in text
     assert "prtbake_http_request_seconds_bucket" in text
 

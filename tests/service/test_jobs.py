@@ -11,6 +11,7 @@ from prtbake_storage.contract.jobs import Job, JobError, JobPage, Progress
 from prtbake_storage.queue.memo import Memory, recall, remember
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.queue.stages import Measured
+from support.rows import context_of
 
 PATIENT = {"Prefer": "wait=30"}
 
@@ -28,8 +29,8 @@ def test_submission_is_accepted_and_queued(service: LiveService, http, environme
     assert answer.headers["location"] == f"/v1/jobs/{job.id}"
     assert answer.headers["retry-after"].isdigit()
     assert job.request["settings"]["n_lobes"] == 162  # defaults are spelled out
-    assert service.backend.queue.known(job.id)
-    context = service.backend.jobs.context(job.id)
+    assert service.backend.queue.statuses([job.id])
+    context = context_of(service.backend.database, job.id)
     assert context["environment"]["id"] == environment
     assert context["environment"]["canonical"].startswith("sha256:")
 
@@ -263,9 +264,9 @@ def test_a_submission_survives_an_engine_that_is_down(
         patched.setattr(service.backend.queue, "submit", fail)
         answer = http.put("/v1/jobs/orphan", json=body_of(environment))
     assert answer.status_code == 202
-    assert not service.backend.queue.known("orphan")
+    assert not service.backend.queue.statuses(["orphan"])
     reconcile_once(service.backend.database, service.backend.queue)
-    assert service.backend.queue.known("orphan")
+    assert service.backend.queue.statuses(["orphan"])
 
 
 def test_304_for_a_job_that_is_gone_is_a_404(http: httpx.Client) -> None:

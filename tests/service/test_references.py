@@ -3,6 +3,7 @@ import pytest
 
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
+from support.rows import context_of
 
 LAMBERT = {"model": "lambert", "albedo": [0.8, 0.2, 0.1]}
 FILES = {"transfer_h5": b"T", "asset_h5": b"A", "asset-float32_h5": b"E", "light_h5": b"L"}
@@ -19,7 +20,7 @@ def test_context_of_an_asset(service: LiveService, http, mesh: str, environment:
         "albedo_texture": texture,
     }
     job = http.post("/v1/jobs", json=body).json()
-    context = service.backend.jobs.context(job["id"])
+    context = context_of(service.backend.database, job["id"])
     assert set(context) == {"mesh", "environment", "brdf", "albedo_texture"}
     assert context["mesh"]["id"] == mesh
     assert context["mesh"]["understood"]["n"] == 7
@@ -34,7 +35,7 @@ def test_context_of_artefacts(service: LiveService, http, submit) -> None:
     service.succeed(job["id"], {}, transfer_h5=b"T")
     reference = f"{job['id']}/transfer.h5"
     made = http.post("/v1/jobs", json={"kind": "compress", "transfer": reference}).json()
-    context = service.backend.jobs.context(made["id"])
+    context = context_of(service.backend.database, made["id"])
     digest = service.backend.jobs.get(job["id"]).artefacts[0].sha256
     assert context == {
         "artefacts": {"transfer": {"digest": digest, "job": job["id"], "name": "transfer.h5"}}
@@ -47,9 +48,9 @@ def test_context_of_a_validation(service: LiveService, http, submit, environment
     files = {role: f"{job['id']}/{role}.h5" for role in ("transfer", "asset", "light")}
     body = {"kind": "validate", "environment": environment} | files
     made = http.post("/v1/jobs", json=body).json()
-    assert set(service.backend.jobs.context(made["id"])["artefacts"]) == set(files)
+    assert set(context_of(service.backend.database, made["id"])["artefacts"]) == set(files)
     made = http.post("/v1/jobs", json=body | {"exact": f"{job['id']}/asset-float32.h5"}).json()
-    exact = service.backend.jobs.context(made["id"])["artefacts"]["exact"]
+    exact = context_of(service.backend.database, made["id"])["artefacts"]["exact"]
     assert service.backend.blobs.read_bytes(exact["digest"]) == b"E"
 
 

@@ -78,6 +78,29 @@ def test_a_refusal_says_what_and_where(service: LiveService, http: httpx.Client)
     assert again.json()["problem"] is None
 
 
+def test_a_resource_whose_file_is_gone_is_parsed_again(
+    service: LiveService, http: httpx.Client
+) -> None:
+    body = {"builtin": {"name": "constant", "width": 16}}
+    made = http.post("/v1/environments", json=body).json()["id"]
+    canonical = service.backend.blobs.put_bytes(b"a constant sky")
+    service.succeed(f"parse-{made}", {"canonical": canonical, "understood": {}})
+    assert http.post("/v1/environments", json=body).status_code == 200
+    service.backend.blobs.delete(canonical)
+    fit = {"kind": "fit_light", "environment": made}
+    answer = http.post("/v1/jobs", json=fit)
+    assert (answer.status_code, answer.json()["pointer"]) == (409, "/environment")
+    assert "register it again" in answer.json()["detail"]
+
+    def parse(job: str) -> None:
+        again = service.backend.blobs.put_bytes(b"a constant sky")
+        service.succeed(job, {"canonical": again, "understood": {}})
+
+    service.answer_next("register", parse)
+    assert http.post("/v1/environments", json=body, headers=PATIENT).status_code == 200
+    assert http.post("/v1/jobs", json=fit).status_code == 202
+
+
 @pytest.mark.parametrize(("kind", "status"), [("resource", 503), ("internal", 500)])
 def test_a_fault_of_ours_is_no_refusal(service: LiveService, http, kind, status: int) -> None:
     body = {"builtin": {"name": "hall", "width": 64 if kind == "resource" else 128}}

@@ -25,6 +25,7 @@ from prtbake.errors import LaunchError
 STOP_S = 20.0
 """Workers hand their tiles back and leave within 15 s, or are killed by their supervisor."""
 LOG_LINES = 8
+STORAGE_VARIABLES = ("PRTBAKE_DATABASE_URL", "PRTBAKE_BLOB_URL")
 LOCK_FILE = "serve.lock"
 _PR_SET_PDEATHSIG = 1
 
@@ -42,6 +43,9 @@ class LocalService:
         Where to listen; port 0 takes a free one.
     verbose
         Leave the logs on this terminal rather than in ``logs/``.
+    embedded
+        Keep database and blobs in ``data_dir`` whatever the environment says: for a directory that
+        will be removed, whose blobs a database elsewhere would go on referring to.
 
     Raises
     ------
@@ -57,6 +61,7 @@ class LocalService:
         host: str = "127.0.0.1",
         port: int = 0,
         verbose: bool = False,
+        embedded: bool = False,
     ) -> None:
         self.data_dir = data_dir
         self.n_workers = n_workers
@@ -64,6 +69,7 @@ class LocalService:
         self._host = host
         self._port = port
         self._verbose = verbose
+        self._embedded = embedded
         self._lock: IO[str] | None = None
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -155,7 +161,8 @@ class LocalService:
 
     def _start(self, listener: socket.socket) -> None:
         environment = os.environ | {"PRTBAKE_DATA_DIR": str(self.data_dir)}
-        environment.pop("PRTBAKE_FD", None)
+        for name in ("PRTBAKE_FD", *(STORAGE_VARIABLES if self._embedded else ())):
+            environment.pop(name, None)
         handle = listener.fileno()
         self._processes["service"] = self._spawn(
             "service",

@@ -2,10 +2,7 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-
 from prtbake_service.backend import Backend
-from prtbake_service.errors_http import MalformedRequest, validation_entries
 from prtbake_storage.contract.jobs import (
     AssetRequest,
     BakeRequest,
@@ -16,28 +13,12 @@ from prtbake_storage.contract.jobs import (
     ValidateRequest,
 )
 from prtbake_storage.contract.resources import Resource
-from prtbake_storage.contract.settings import (
-    BakeSettings,
-    CompressSettings,
-    FitLightSettings,
-    RenderSettings,
-    ValidateSettings,
-)
 from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
 AnyRequest = (
     BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
 )
 Context = dict[str, Any]
-
-_STAGES: dict[str, type[BaseModel]] = {
-    "bake": BakeSettings,
-    "compress": CompressSettings,
-    "fit_light": FitLightSettings,
-    "render": RenderSettings,
-    "validation": ValidateSettings,
-}
-
 
 _FILES = {
     "transfer": ("transfer.h5",),
@@ -74,7 +55,6 @@ class Resolver:
             case BakeRequest():
                 return self._scene(request)
             case AssetRequest():
-                check_overrides(request)
                 return self._scene(request) | {
                     "environment": self._resource("environment", request.environment)
                 }
@@ -122,6 +102,8 @@ class Resolver:
             resource = self._backend.resources.get(resource_id, project=self._project)
         except NotFound as error:
             raise NotFound(f"there is no {kind} {resource_id}", pointer=pointer) from error
+        if resource.canonical and not self._backend.blobs.exists(resource.canonical):
+            raise Conflict(f"the file of {resource.id} is gone: register it again", pointer=pointer)
         return _usable(resource, pointer)
 
     def _artefacts(self, **references: str) -> dict[str, Context]:
@@ -169,22 +151,3 @@ def _usable(resource: Resource, pointer: str) -> Context:
         "canonical": resource.canonical,
         "understood": resource.understood,
     }
-
-
-def check_overrides(request: AssetRequest) -> None:
-    """Check the settings that override a quality's, stage by stage.
-
-    Raises
-    ------
-    MalformedRequest
-        Naming each field that the stage does not have or whose value it cannot take.
-    """
-    entries: list[dict[str, Any]] = []
-    for stage, model in _STAGES.items():
-        given = getattr(request.settings, stage)
-        try:
-            model.model_validate(given)
-        except ValidationError as error:
-            entries += validation_entries(error.errors(), given, prefix=f"/settings/{stage}")
-    if entries:
-        raise MalformedRequest(entries)

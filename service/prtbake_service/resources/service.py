@@ -51,7 +51,7 @@ class ResourceService:
         """Make a resource and start to parse it; tell whether it is new.
 
         The same registration gives the same resource.  One that was refused is parsed again, since
-        the parser may have learned since.
+        the parser may have learned since, and so is one whose canonical blob is gone.
         """
         if registration.blob is not None:
             Resolver(self._backend, self._project).require_upload(registration.blob, "/blob")
@@ -64,10 +64,18 @@ class ResourceService:
             self._parser(resource_id, request),
             project=self._project,
             label=registration.label,
+            again=self._is_lost(resource_id),
         )
         if begun.job is not None:
             enqueue(self._backend, begun.job)
         return begun.resource, begun.is_new
+
+    def _is_lost(self, resource_id: str) -> bool:
+        try:
+            canonical = self.get(resource_id).canonical
+        except NotFound:
+            return False
+        return canonical is not None and not self._backend.blobs.exists(canonical)
 
     def _id(self, request: dict[str, object]) -> str:
         # what a resource is called does not change what it is

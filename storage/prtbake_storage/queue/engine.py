@@ -148,10 +148,6 @@ class JobQueue:
             )
         }
 
-    def known(self, job_id: str) -> bool:
-        """Whether the job has a workflow."""
-        return job_id in self.statuses([job_id])
-
     def output(self, workflow_id: str) -> Any:
         """Read what an ended workflow returned, or the text of its error."""
         for workflow in self._client.list_workflows(workflow_ids=[workflow_id], load_input=False):

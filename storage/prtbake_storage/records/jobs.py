@@ -121,16 +121,6 @@ class Jobs:
             row = _find(session, job_id, project)
             return to_job(row, _artefacts(session, [row.id])[row.id])
 
-    def revision(self, job_id: str) -> int:
-        """Count of the job's changes: an entity tag for polling; `NotFound` if there is none."""
-        with self._database.read() as session:
-            return _find(session, job_id, None).revision
-
-    def context(self, job_id: str) -> dict[str, Any]:
-        """Give what the job was given beside its request; a retry takes it over."""
-        with self._database.read() as session:
-            return _find(session, job_id, None).context
-
     def page(
         self,
         *,

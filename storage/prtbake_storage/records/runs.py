@@ -120,13 +120,13 @@ class Runs:
         late = JobRow.deadline_s < self._database.seconds
         with self._database.read() as session:
             row = session.execute(
-                sa.select(JobRow.state, JobRow.stopping, JobRow.error, late).where(
-                    JobRow.id == job_id
-                )
+                sa.select(
+                    JobRow.state, JobRow.stopping, JobRow.error, JobRow.timeout_s, late
+                ).where(JobRow.id == job_id)
             ).first()
         if row is None:
             return Stop(JobState.canceled)
-        state, stopping, error, is_late = row
+        state, stopping, error, timeout_s, is_late = row
         if state == JobState.cancel_requested:
             return Stop(JobState.canceled)
         if state != JobState.running and state != JobState.queued:
@@ -134,7 +134,10 @@ class Runs:
         if stopping is not None:
             return Stop(JobState(stopping["state"]), JobError.model_validate(stopping["error"]))
         if is_late:
-            return Stop(JobState.expired)
+            detail = f"it did not end within its time limit of {timeout_s:g} s"
+            return Stop(
+                JobState.expired, JobError(kind="resource", code="time-limit", detail=detail)
+            )
         return None
 
     def fail_soon(self, job_id: str, error: JobError) -> None:

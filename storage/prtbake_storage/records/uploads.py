@@ -46,13 +46,3 @@ class Uploads:
                 )
             )
         return [digest for digest in digests if digest not in known]
-
-    def bytes_used(self, *, project: str = "default") -> int:
-        """Bytes that the project has uploaded."""
-        with self._database.read() as session:
-            total = session.scalar(
-                sa.select(sa.func.coalesce(sa.func.sum(UploadRow.size), 0)).where(
-                    UploadRow.project == project
-                )
-            )
-        return int(total or 0)

@@ -13,6 +13,7 @@ from prtbake_storage.records import Database, Events, Jobs, NewArtefact, NewJob,
 from prtbake_storage.records.models import JobRow
 from prtbake_storage.records.runs import TaskProgress
 from prtbake_storage.records.transitions import AFTER, before
+from support.rows import context_of, revision_of
 
 ERROR = JobError(kind="internal", code="internal", detail="it broke", pointer="/x")
 ARTEFACT = NewArtefact("asset.h5", "application/x-hdf5", "sha256:" + "0" * 64, 3)
@@ -47,7 +48,7 @@ def test_a_submitted_job_comes_back_whole(database: Database) -> None:
     assert (job.state, job.label, job.retry_of, job.request) == ("queued", "étude", "z", {"n": 1})
     assert job.created.tzinfo is not None
     assert abs(job.created - datetime.now(UTC)) < timedelta(minutes=1)
-    assert jobs.context("a") == {"mesh": "m"}
+    assert context_of(database, "a") == {"mesh": "m"}
 
 
 def test_nobody_sees_another_projects_job(database: Database) -> None:
@@ -181,7 +182,11 @@ def test_a_deadline_counts_from_the_start(database: Database) -> None:
     runs.start("late")
     runs.start("in-time")
     threading.Event().wait(0.05)
-    assert runs.stop("late") == Stop(JobState.expired)
+    stop = runs.stop("late")
+    assert stop is not None
+    assert stop.state is JobState.expired
+    assert stop.error is not None
+    assert "time limit of 0.001 s" in stop.error.detail
     assert runs.stop("in-time") is None
 
 
@@ -215,7 +220,7 @@ def test_every_change_is_a_new_revision(database: Database) -> None:
     jobs, runs = Jobs(database), Runs(database)
     revisions = []
     put_in_state(database, "a", JobState.queued)
-    revisions.append(jobs.revision("a"))
+    revisions.append(revision_of(database, "a"))
     for change in (
         lambda: runs.start("a"),
         lambda: runs.progress("a", Progress(fraction=0.1)),
@@ -223,10 +228,10 @@ def test_every_change_is_a_new_revision(database: Database) -> None:
         lambda: runs.close("a", Stop(JobState.canceled)),
     ):
         change()
-        revisions.append(jobs.revision("a"))
+        revisions.append(revision_of(database, "a"))
     assert revisions == sorted(set(revisions))
     jobs.request_cancel("a")
-    assert jobs.revision("a") == revisions[-1]
+    assert revision_of(database, "a") == revisions[-1]
 
 
 def test_task_progress_is_kept_until_the_end(database: Database) -> None:

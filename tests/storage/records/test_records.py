@@ -119,8 +119,6 @@ def test_uploads_belong_to_projects(database: Database) -> None:
     assert uploads.get(one, project="mine").size == 10
     assert uploads.missing([two, one], project="mine") == [two]
     assert uploads.missing([two, one], project="nobody") == [two, one]
-    assert uploads.bytes_used(project="mine") == 10
-    assert uploads.bytes_used(project="nobody") == 0
     with pytest.raises(NotFound):
         uploads.get(two, project="mine")
 

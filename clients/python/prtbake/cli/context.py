@@ -62,6 +62,8 @@ def reporting() -> Iterator[None]:
         if isinstance(error, ApiError) and error.request_id:
             messages().print(f"[dim]request {escape(error.request_id)}[/]")
         raise typer.Exit(code_of(error)) from None
+    except BrokenPipeError:
+        raise typer.Exit(Exit.error) from None  # nobody reads on, `head` has what it wanted
     except OSError as error:
         _say(str(error))
         raise typer.Exit(Exit.error) from None

@@ -69,7 +69,7 @@ def demo(
     given = data_dir or target_of(context).data_dir
     with reporting(), _folder(given) as folder:
         say.print(f"starting the service and {workers} workers")
-        with LocalService(folder, n_workers=workers) as service:
+        with LocalService(folder, n_workers=workers, embedded=given is None) as service:
             say.print(f"page: {service.page}")
             with Client(service.url, key=service.key) as client:
                 if ladder:

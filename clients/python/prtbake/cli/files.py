@@ -11,7 +11,8 @@ from prtbake.cli.output import Output, OutputOption, console, human_bytes, print
 from prtbake.cli.progress import TransferProgress
 from prtbake.cli.requests import CreaseAngle
 from prtbake.cli.sources import existing_file
-from prtbake.errors import PrtbakeError
+from prtbake.errors import JobNotSucceeded, PrtbakeError
+from prtbake_storage.contract.jobs import JobState
 from prtbake_storage.contract.resources import Resource
 
 register_group = typer.Typer(no_args_is_help=True, help="Upload an input and have it parsed.")
@@ -30,6 +31,11 @@ def get(
     """Download a job's files, or those named; goes on where an earlier try stopped."""
     with client_of(context) as client:
         manifest = {artefact.name: artefact for artefact in client.artefacts(job)}
+        if not manifest:
+            found = client.job(job)
+            if found.state.terminal and found.state is not JobState.succeeded:
+                raise JobNotSucceeded(found)
+            raise PrtbakeError(f"job {job} is {found.state}: it has no files")
         if unknown := sorted(set(names or ()) - set(manifest)):
             has = ", ".join(manifest) or "none yet"
             raise PrtbakeError(f"job {job} has no file {unknown[0]} (it has: {has})")

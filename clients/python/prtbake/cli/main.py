@@ -1,5 +1,7 @@
 """The command ``prtbake``."""
 
+import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +13,7 @@ from prtbake.cli.demo import demo
 from prtbake.cli.exits import LEGEND
 from prtbake.cli.serve import serve
 from prtbake.cli.submit import estimate_group, submit_group
+from prtbake_storage import __version__
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -19,6 +22,13 @@ app = typer.Typer(
     epilog=LEGEND,
     help="Bake, compress and relight precomputed radiance transfer.",
 )
+
+
+def print_version(asked: bool) -> None:
+    """Print the version and end, if that is asked."""
+    if asked:
+        typer.echo(f"prtbake {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
@@ -33,8 +43,13 @@ def options(
     data_dir: Annotated[
         Path | None, typer.Option(help="Data directory of a local service.")
     ] = None,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=print_version, is_eager=True, help="Print it and end."),
+    ] = False,
 ) -> None:
     """Keep what all commands need."""
+    del version
     context.obj = Target(url, key, data_dir)
 
 
@@ -57,7 +72,14 @@ app.command()(files.upload)
 
 def main() -> None:
     """Run the command line."""
-    app()
+    try:
+        app()
+    finally:
+        try:
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # what is left has no reader; Python would complain of it when it closes the stream
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

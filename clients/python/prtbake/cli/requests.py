@@ -310,7 +310,6 @@ def _scene(
     # all that this side can refuse, before anything is uploaded
     given = legal_names(key_values(effects or []), Effects.model_fields, "the scene", "--effect")
     scene: Request = {
-        "brdf": brdf_value(client, brdf),
         # JSON's true and false are not what a switch is called
         "effects": {
             name: {True: "on", False: "off"}.get(value, value) for name, value in given.items()
@@ -321,6 +320,7 @@ def _scene(
     picture: Path | None = None
     if texture is not None and not texture.startswith("sha256:"):
         picture = existing_file(texture, "--albedo-texture")
+    scene["brdf"] = brdf_value(client, brdf)
     scene["mesh"] = mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle)
     if texture is not None:
         scene["albedo_texture"] = texture if picture is None else client.upload(picture).digest

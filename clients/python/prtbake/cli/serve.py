@@ -22,7 +22,9 @@ def serve(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     host: Annotated[str, typer.Option(help="Address; the loopback by default.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, help="Port; 0 takes a free one.")] = PORT,
+    port: Annotated[
+        int, typer.Option(min=0, envvar="PRTBAKE_PORT", help="Port; 0 takes a free one.")
+    ] = PORT,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Logs on this terminal, not in files.")
     ] = False,

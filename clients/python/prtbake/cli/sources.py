@@ -81,18 +81,21 @@ def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
     if (model := _MODELS.get(name)) is not None:
         fields = [field for field in model.model_fields if field != "model"]
         return _checked({"model": name, **legal_names(key_values(pairs), fields, name, "--brdf")})
-    table, hash_, material = source.rpartition("#")
+    file, hash_, material = source.rpartition("#")
     if hash_ and not Path(source).expanduser().is_file():
-        return client.add_brdf(existing_file(table, "--brdf"), material=material).id
+        return client.add_brdf(existing_file(file, "--brdf"), material=material).id
     if not Path(source).expanduser().is_file():
         raise typer.BadParameter(
             f"there is no file {source}, and the BRDF models are {', '.join(_MODELS)}",
             param_hint="--brdf",
         )
-    path = Path(source).expanduser()
-    if is_json(path):
+    path = existing_file(source, "--brdf")
+    if not is_json(path):
+        return client.add_brdf(path).id
+    try:
         return _brdf(path.read_text())
-    return client.add_brdf(path).id
+    except UnicodeDecodeError as error:
+        raise typer.BadParameter(f"{source} is not JSON but binary", param_hint="--brdf") from error
 
 
 def is_json(path: Path) -> bool:
