@@ -9,7 +9,7 @@ ONE = np.array([1.0])
 
 
 def by_angles(wi, wo, albedo, sigma, a_term=0.33):
-    """The paper's eqs. (29) and (30) with the angles themselves."""
+    """The paper's qualitative model with the angles themselves."""
     theta_i, theta_o = np.arccos(wi[..., 2]), np.arccos(wo[..., 2])
     dphi = np.arctan2(wi[..., 1], wi[..., 0]) - np.arctan2(wo[..., 1], wo[..., 0])
     a = 1 - 0.5 * sigma**2 / (sigma**2 + a_term)
@@ -35,6 +35,21 @@ def test_smooth_facets_are_lambert(directions):
     albedo = np.array([0.7, 0.2, 0.1])
     got = OrenNayar(albedo, 0.0).eval_brdf(wi, wo)
     np.testing.assert_allclose(got, Lambert(albedo).eval_brdf(wi, wo), rtol=1e-15)
+
+
+def test_why_not_the_full_model():
+    """C1 to C3 and the bounced light of the paper: below 0 for dark facets at 80 degrees."""
+    sigma, albedo, angle = 1.0, 0.1, np.deg2rad(80)
+    s2 = sigma**2
+    c1 = 1 - 0.5 * s2 / (s2 + 0.33)
+    c2 = 0.45 * s2 / (s2 + 0.09) * (np.sin(angle) - (2 * angle / np.pi) ** 3)
+    # light and view opposite: cos dphi = -1, where the C3 term vanishes
+    once = albedo / np.pi * (c1 - c2 * np.tan(angle))
+    bounced = 0.17 * albedo**2 / np.pi * s2 / (s2 + 0.13) * (1 + (2 * angle / np.pi) ** 2)
+    assert once + bounced < -1e-4
+    wi = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
+    opposite = wi * [-1, 1, 1]
+    assert OrenNayar(np.array([albedo]), sigma).eval_brdf(wi, opposite)[0, 0] > 0.01
 
 
 @pytest.mark.parametrize("sigma", [0.2, 1.0])

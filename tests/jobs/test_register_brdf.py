@@ -5,11 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from prtbake_storage.contract.brdf import CookTorranceSpec
 from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.ggx import Ggx
+from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.jobs.inputs import load_brdf
 from support.keras_file import network
 from support.local_stages import registered
+from support.scattered_file import goniometer, grey_samples, spectral_text
 from support.tensor_file import ggx_fields, tensor_bytes
 
 
@@ -92,6 +95,22 @@ def test_a_tensor_file_becomes_a_measured_brdf(store):
     np.testing.assert_allclose(loaded.eval_brdf(up, up), ggx.eval_brdf(up, up), rtol=0.02)
 
 
+def test_scattered_samples_become_a_table_with_its_error(store):
+    angles = goniometer(6, 8)
+    brdf = brdf_from_spec(CookTorranceSpec(m=0.5))
+    data = spectral_text(*angles, grey_samples(brdf, *angles))
+    understood = add(store, data, filename="paint.brdf")["understood"]
+    assert understood["spec"]["format"] == "scattered"
+    assert understood["file"]["n_samples"] == len(angles[0])
+    assert 0.0 < understood["file"]["held_out"]["relative_l2"] < 0.3
+    loaded = load_brdf(store, understood["spec"])
+    up = np.array([[0.0, 0.6, 0.8]])
+    np.testing.assert_allclose(
+        loaded.eval_brdf(up, up * [1, -1, 1]), brdf.eval_brdf(up, up * [1, -1, 1]) * [[1, 1, 1]],
+        rtol=0.2,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("data", "says"),
     [
@@ -101,6 +120,7 @@ def test_a_tensor_file_becomes_a_measured_brdf(store):
         (b'{"model": ', "JSON"),
         (b'{"model": "lambert"}' + b" " * (1 << 20), "at most"),
         (b"", "empty"),
+        (b"# samples\n31\n400 700", "ends within its 31 wavelengths"),
         (b"\x00\x01 something else", "none of JSON"),
         (network()[:3000], "HDF5"),
         (b"tensor_file\0\1\0\xff\xff\xff\xff", "promises 4294967295 fields"),

@@ -153,7 +153,7 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
 
 
-MeasuredFormat = Literal["merl", "rgl"]
+MeasuredFormat = Literal["merl", "rgl", "scattered"]
 
 
 class MeasuredSpec(Wire):

@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from prtbake_storage.errors import BrdfError
-from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.brdf.base import above_horizon
 from prtbake_workers.brdf.half_difference import HalfDifference, directions_of, half_difference
 
@@ -25,9 +26,21 @@ def bin_angles(n_theta_h: int, n_theta_d: int, n_phi_d: int) -> HalfDifference:
     )
 
 
-def bins_above_horizon(n_theta_h: int, n_theta_d: int, n_phi_d: int) -> np.ndarray:
+def bins_above_horizon(
+    n_theta_h: int, n_theta_d: int, n_phi_d: int
+) -> Bool[B8, "theta_h theta_d phi_d"]:
     """Tell which bins have both directions of their centre above the surface."""
     return above_horizon(*directions_of(*bin_angles(n_theta_h, n_theta_d, n_phi_d)))
+
+
+def filled_from_nearest(
+    values: Float64[F64, "channels theta_h theta_d phi_d"],
+    valid: Bool[B8, "theta_h theta_d phi_d"],
+) -> Float64[F64, "channels theta_h theta_d phi_d"]:
+    """Give every bin that is not valid the values of the valid one fewest bins away."""
+    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    filled: F64 = values[:, *nearest]
+    return filled
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ class Lobe:
 
 @dataclass(frozen=True, eq=False)
 class Lafortune:
-    """``kd / pi`` and a sum of lobes [Lafortune1997]_ eq. (9), reciprocal by its symmetry.
+    """``kd / pi`` and a sum of lobes [Lafortune1997]_, reciprocal by its symmetry.
 
     Attributes
     ----------

@@ -4,11 +4,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from prtbake_storage.errors import BrdfError
 from prtbake_workers.arrays import B8, F64, Bool, Float64
-from prtbake_workers.brdf.half_difference_table import HalfDifferenceTable, bins_above_horizon
+from prtbake_workers.brdf.half_difference_table import (
+    HalfDifferenceTable,
+    bins_above_horizon,
+    filled_from_nearest,
+)
 
 SHAPE = (90, 90, 180)
 """Bins of theta_h, theta_d, and of phi_d over half a turn."""
@@ -84,8 +87,7 @@ def read_merl(data: bytes) -> tuple[HalfDifferenceTable, MerlReport]:
             f"{n_bad} of the {n_above} samples above the horizon are negative, that is invalid"
         )
     halves, valid, asymmetry = _symmetrised(values, ~invalid, above)
-    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    filled = halves[:, *nearest]
+    filled = filled_from_nearest(halves, valid)
     report = MerlReport(
         n_samples=invalid.size,
         n_invalid=int(invalid.sum()),

@@ -12,9 +12,9 @@ from prtbake_workers.brdf.base import above_horizon, clamped_cosines
 class OrenNayar:
     """``albedo / pi (A + B max(0, cos dphi) sin a tan b)``, the qualitative model of [Oren1994]_.
 
-    The qualitative model, not the full one: the full one's C2 term turns negative where light and
-    view graze the surface from opposite sides, and no BRDF may.  What the qualitative one lacks is
-    the light that bounces from facet to facet.
+    The qualitative model, not the full one: of dark facets the full one is negative where light and
+    view graze the surface from opposite sides, and no BRDF may be.  What the qualitative one lacks
+    is the light that bounces from facet to facet.
 
     Attributes
     ----------
@@ -30,8 +30,7 @@ class OrenNayar:
 
     References
     ----------
-    .. [Oren1994] M. Oren, S. K. Nayar, "Generalization of Lambert's Reflectance Model", 1994,
-       eqs. (29) and (30).
+    .. [Oren1994] M. Oren, S. K. Nayar, "Generalization of Lambert's Reflectance Model", 1994.
     """
 
     albedo: Float64[F64, " channels"]

@@ -50,7 +50,7 @@ class RglTensor:
     References
     ----------
     .. [Dupuy2018] J. Dupuy, W. Jakob, "An Adaptive Parameterization for Efficient Material
-       Acquisition and Rendering", 2018, section 4 and eq. (16).
+       Acquisition and Rendering", 2018.
     """
 
     theta_i: Float32[F32, " lights"]

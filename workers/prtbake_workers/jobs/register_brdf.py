@@ -23,6 +23,8 @@ from prtbake_workers.brdf.fit_tables import is_fit_table, read_fit_table
 from prtbake_workers.brdf.merl import is_merl, read_merl
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.brdf.rgl import rgl_from_tensors
+from prtbake_workers.brdf.scattered import interpolate_scattered
+from prtbake_workers.brdf.scattered_text import is_scattered_text, read_scattered_text
 from prtbake_workers.brdf.symmetrised import Symmetrised
 from prtbake_workers.brdf.tensor_file import is_tensor_file, read_tensor_file
 from prtbake_workers.jobs.keras_weights import is_hdf5, read_keras_weights
@@ -98,7 +100,7 @@ def _from_file(blob: str, material: str | None, context: TaskContext) -> Underst
             return read(data, context)
     raise BrdfError(
         "the file is none of JSON, a table of SGD or ABC fits (.csv), an nbrdf network (.h5), a "
-        "MERL table (.binary) and a tensor file (.bsdf)"
+        "MERL table (.binary), a tensor file (.bsdf) and scattered samples (.brdf, .dat)"
         if data
         else "the file is empty"
     )
@@ -142,6 +144,12 @@ def _from_tensors(data: bytes, context: TaskContext) -> Understood:
     return _measured("rgl", Symmetrised(tensor), file, context)
 
 
+def _from_scattered(data: bytes, context: TaskContext) -> Understood:
+    table, report = interpolate_scattered(read_scattered_text(data))
+    file = BrdfFile("half_difference", {"values": table.values}, report)
+    return _measured("scattered", table, file, context)
+
+
 def _measured(name: MeasuredFormat, brdf: Brdf, file: BrdfFile, context: TaskContext) -> Understood:
     """Write the canonical file and make the spec that names it."""
     path = context.scratch / "brdf.h5"
@@ -156,4 +164,5 @@ _READERS: tuple[tuple[Callable[[bytes], bool], Callable[[bytes, TaskContext], Un
     (is_hdf5, _from_keras),
     (is_tensor_file, _from_tensors),
     (is_merl, _from_merl),
+    (is_scattered_text, _from_scattered),
 )
