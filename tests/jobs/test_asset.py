@@ -76,6 +76,34 @@ def test_directions_that_do_not_resolve_the_basis_are_not_reported_as_exact(stor
     )
 
 
+def test_every_stage_says_the_bytes_that_it_left(glossy_asset, store):
+    _, _, results = glossy_asset
+    (planned,), (quantised,), (rendered,) = (
+        results[name] for name in ("plan", "quantise", "render")
+    )
+    left = {
+        "plan": [planned["scene"], planned["projection"]],
+        "bake": [tile["tile"] for tile in results["bake"]],
+        "join": [results["join"][0]["transfer"]],
+        "compress": [part["factors"] for part in results["compress"]],
+        "quantise": [quantised["asset"], quantised["exact"]],
+        "fit_light": [results["fit_light"][0]["light"]],
+        "render": [picture["digest"] for picture in rendered["pictures"]],
+        "validate": [
+            digest
+            for camera in results["validate"]
+            for view in camera["views"]
+            for digest in view["pictures"].values()
+        ],
+    }
+    stages = results["report"][0]["report"]["stages"]
+    stated = {stage["name"]: stage["bytes"] for stage in stages}
+    assert stated == {
+        name: sum(store.size(digest) for digest in digests) for name, digests in left.items()
+    }
+    assert min(stated.values()) > 0
+
+
 def test_the_stated_compression_error_is_that_of_the_files(glossy_asset, store):
     """Reconstruct the float32 asset and hold it against the transfer file, independently."""
     _, _, results = glossy_asset

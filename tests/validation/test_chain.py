@@ -1,16 +1,23 @@
 """The chain of pictures on a small scene: the budget closes, and frames do not matter."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.contract.brdf import PhongSpec
 from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.validation.chain import LINES, fitted_light, validate_camera
 from prtbake_workers.validation.hits import trace_camera
-from prtbake_workers.validation.sampled import asset_picture
+from prtbake_workers.validation.light import draw_pass
+from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
+from prtbake_workers.validation.sampled import asset_picture, sampled_terms
 from support.scenes import (
     asset_request,
     relative_difference,
@@ -41,8 +48,14 @@ def chain(store, camera, rotations, **settings):
 
 
 @pytest.fixture(scope="module")
-def plain(store):
-    return chain(store, Camera(), [np.eye(3), rotation_matrix((0.0, 90.0, 0.0))])
+def validation(store):
+    return scene_of(store)
+
+
+@pytest.fixture(scope="module")
+def plain(validation):
+    rotations = [np.eye(3), rotation_matrix((0.0, 90.0, 0.0))]
+    return validate_camera(validation, Camera(), rotations, SETTINGS, seed=1)
 
 
 def test_the_budget_closes(plain):
@@ -95,3 +108,27 @@ def test_random_frames_change_no_delivered_picture(store):
     ]
     wrong = asset_picture(replace(turned.delivered, parts=tuple(swapped)), light, hits)
     assert relative_difference(wrong, expected) > 0.02
+
+
+def test_memory_does_not_grow_with_the_terms(validation, rng):
+    """127 terms, and rays for twice as many values as a block may hold."""
+    brdf = brdf_from_spec(PhongSpec(exponent=200))
+    sharp = factorise(brdf, n_terms=127)
+    part = replace(validation.parts[0], brdf=brdf, factorisation=sharp, view_texture=None)
+    scene = replace(validation, parts=(part, *validation.parts[1:]))
+    hits = trace_camera(scene, Camera(), 64, 48)
+    exact = [ExactTerms(own.factorisation) for own in scene.parts]
+    light = draw_pass(EnvironmentSampler(scene.environment), np.eye(3), 250, rng)
+    own = hits.vertices_of(*scene.scene.part_ranges[0])
+    columns = rng.random((scene.directions.n, 6))
+    for render in (
+        lambda: pixel_pictures(scene, hits, light, exact, 1e-4),
+        lambda: vertex_terms(scene, part, np.tile(own, 2), light, 1e-4),
+        lambda: sampled_terms(scene, 0, own[:120], columns),
+    ):
+        tracemalloc.start()
+        render()
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        # measured 0.19 to 0.26 GB; blocks that heed rays alone take 0.86 GB for the pixels
+        assert peak < 0.3e9

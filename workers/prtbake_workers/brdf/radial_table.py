@@ -57,17 +57,28 @@ class RadialTable:
         object.__setattr__(self, "_steps", steps)
 
     def evaluate(self, directions: Float64[F64, "n 3"]) -> Float64[F64, "n terms columns"]:
-        """Evaluate in float64; 0 below the horizon."""
+        """Evaluate in float64; 0 below the horizon.
+
+        Memory beside the result: a chunk's, some tens of MiB at a hundred terms.
+        """
+        value = np.empty((len(self.orders), self.values.shape[2], len(directions)))
+        for start in range(0, len(directions), CHUNK):
+            part = slice(start, start + CHUNK)
+            value[..., part] = self._evaluate_chunk(directions[part])
+        return np.moveaxis(value, -1, 0)
+
+    def _evaluate_chunk(self, directions: Float64[F64, "n 3"]) -> Float64[F64, "terms columns n"]:
         x, y, z = directions.T
         sine = np.hypot(x, y)
         cell, part = self._cells(sine, z)
         rows = self._rows.astype(np.float64)[:, cell] + self._steps[:, cell] * part
-        radial = rows.reshape(*self.values.shape[1:], -1)[self.unit_of_term]
+        radial: F64 = rows.reshape(*self.values.shape[1:], -1)[self.unit_of_term]
         scale = np.maximum(sine, POLE_FLOOR)
-        waves = ((x + 1j * y) / scale) ** self.orders[:, None]
-        wave = np.where(self.parity[:, None] == 0, waves.real, waves.imag)
-        value: F64 = radial * wave[:, None, :]
-        return np.moveaxis(value, -1, 0)
+        distinct, which = np.unique(self.orders, return_inverse=True)
+        waves = ((x + 1j * y) / scale) ** distinct[:, None]
+        wave = np.where(self.parity[:, None] == 0, waves.real[which], waves.imag[which])
+        radial *= wave[:, None, :]
+        return radial
 
     def look_up(
         self,

@@ -18,7 +18,10 @@ from prtbake_workers.arrays import F32, F64, I64, Float32, Float64
 from prtbake_workers.geometry.accelerator import Accelerator, offset_origins
 
 RAYS_PER_BLOCK = 400_000
-"""Points x samples traced at once; bounds the memory of a block to some tens of MB a term."""
+"""Points x samples traced at once: 0.2 GB of rays, frames and BRDF values."""
+
+VALUES_PER_BLOCK = 6_400_000
+"""Points x samples x terms at once: an array of them takes 51 MB, and five live at a time."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,10 @@ class LightPass:
     weights: Float64[F64, "samples 3"]
 
 
-def blocks(n_points: int, n_samples: int) -> Iterator[slice]:
-    """Cut points into blocks that keep points x samples bounded."""
-    size = max(1, RAYS_PER_BLOCK // max(1, n_samples))
+def blocks(n_points: int, n_samples: int, n_terms: int = 1) -> Iterator[slice]:
+    """Cut points into blocks of bounded memory, each of one point at least."""
+    rays = min(RAYS_PER_BLOCK, VALUES_PER_BLOCK // n_terms)
+    size = max(1, rays // max(1, n_samples))
     for start in range(0, n_points, size):
         yield slice(start, min(start + size, n_points))
 

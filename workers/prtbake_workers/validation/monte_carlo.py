@@ -66,7 +66,7 @@ def pixel_pictures(
     albedo = texture_albedo(validation, hits)
     for index, part in enumerate(validation.parts):
         own = np.flatnonzero(hits.parts == index)
-        for block in blocks(len(own), len(light.directions)):
+        for block in blocks(len(own), len(light.directions), part.factorisation.n_terms):
             which = own[block]
             received = visible_cosine(
                 hits.points.block(which), light.directions, validation.accelerator, epsilon
@@ -104,7 +104,7 @@ def vertex_terms(
         scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
     )
     result = np.zeros((len(vertices), part.factorisation.n_terms, 3))
-    for block in blocks(len(vertices), len(light.directions)):
+    for block in blocks(len(vertices), len(light.directions), part.factorisation.n_terms):
         received = visible_cosine(
             points.block(block), light.directions, validation.accelerator, epsilon
         )

@@ -31,7 +31,7 @@ def sampled_terms(
     )
     rays = directions.sub_directions(validation.supersample).astype(np.float64)
     result = np.zeros((len(vertices), own.factorisation.n_terms, columns.shape[1]))
-    for block in blocks(len(vertices), directions.n):
+    for block in blocks(len(vertices), directions.n, own.factorisation.n_terms):
         own_points = points.block(block)
         cosine = np.maximum(own_points.normals @ directions.directions.T, 0.0)
         if own.occluders is not None:
