@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+from prtbake_storage.blobs.base import referenced_digests
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
 from prtbake_workers.report.account import (
@@ -79,15 +80,14 @@ def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> 
         errors |= result.get("errors", {})
     if name == "bake" and plan is not None:
         errors = projection_errors(plan["parts"], results["bake"])
-    sizes = [result["bytes"] for result in results[name] if "bytes" in result]
     return {
         "name": name,
         "tiles": len(results[name]),
         "seconds": sum(one.seconds for one in measured),
         "peak_memory_bytes": max((one.peak_memory_bytes for one in measured), default=0),
         "predicted_seconds": plan["seconds"].get(name) if plan else None,
-        "bytes": sum(sizes) if sizes else None,
         "errors": errors,
+        "files": sorted(set(referenced_digests(results[name]))),
     }
 
 
@@ -106,7 +106,13 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
     report = make_report(
         title=args["title"],
-        stages=[StageAccount(**stage) for stage in args["stages"]],
+        stages=[
+            StageAccount(
+                **{name: value for name, value in stage.items() if name != "files"},
+                bytes=sum(context.store.size(digest) for digest in stage["files"]),
+            )
+            for stage in args["stages"]
+        ],
         parts=part_accounts(plan["parts"], args["compressed"]) if args["compressed"] else [],
         effects=plan["effects"],
         views=args["views"],

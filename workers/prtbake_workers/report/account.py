@@ -12,14 +12,17 @@ from prtbake_workers.validation.budget import Budget, BudgetLine, pool_budgets
 
 @dataclass(frozen=True)
 class StageAccount:
-    """One stage: seconds of work summed over tiles, the largest tile's memory, its own errors."""
+    """One stage: seconds of work summed over tiles, the largest tile's memory, its own errors.
+
+    ``bytes`` are those of the files it left, equal ones counted once.
+    """
 
     name: str
     tiles: int
     seconds: float
     peak_memory_bytes: int
+    bytes: int
     predicted_seconds: float | None = None
-    bytes: int | None = None
     errors: dict[str, float] = field(default_factory=dict)
 
 
