@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from prtbake_workers.compress.classify import propose_clusters, propose_from_all, reclassify
+from prtbake_workers.compress.classify import propose_clusters, reclassify
 from prtbake_workers.compress.cluster_factors import (
     ClusterFactors,
     fit_cluster,
@@ -57,7 +57,6 @@ def test_clusters_of_different_rank_are_compared_fairly(z, rng):
     factors.append(rank_zero(z.shape[2]))
     errors = _brute_force_errors(z, factors)
     best = np.argmin(errors, axis=1)
-    np.testing.assert_array_equal(propose_from_all(z, factors), best)
     labels = np.full(len(z), 5, np.int32)
     np.testing.assert_array_equal(propose_clusters(z, factors, labels, errors[:, 5]), best)
 

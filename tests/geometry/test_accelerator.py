@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from prtbake_workers.geometry.accelerator import RAYS_PER_CALL, Accelerator
-from prtbake_workers.geometry.brute_force import BruteForce
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
 from prtbake_workers.geometry.teapot import teapot
+from support.brute_force import BruteForce
 
 SCALES = [1e-4, 1.0, 1e4]
 
@@ -90,17 +90,6 @@ def test_occlusion_is_that_some_triangle_is_hit(rng, scale):
     ).all()
     plain = BruteForce(positions, faces).occluded(origins, directions)
     assert (fast.occluded(origins, directions) == plain).mean() > 0.999
-
-
-@pytest.mark.parametrize("scale", SCALES)
-def test_max_distance_is_in_scene_units(scale):
-    mesh = grid_mesh(1, 1)
-    origins = scale * np.array([[0.1, 2.0, 0.2]] * 2)
-    down = np.array([[0.0, -1.0, 0.0]] * 2, np.float32)
-    for tracer in (Accelerator, BruteForce):
-        made = tracer(scale * mesh.positions, mesh.faces)
-        assert not made.occluded(origins.astype(np.float32), down, max_distance=1.99 * scale).any()
-        assert made.occluded(origins.astype(np.float32), down, max_distance=2.01 * scale).all()
 
 
 def test_the_same_scene_at_every_scale_gives_the_same_hits(rng):

@@ -12,7 +12,6 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.render import context
 from prtbake_workers.render.camera import Pinhole, pinhole
 from prtbake_workers.render.cpu_renderer import CpuRenderer
-from prtbake_workers.render.picture import over_background
 from prtbake_workers.render.renderer import open_renderer
 
 WIDTH, HEIGHT = 60, 45
@@ -73,19 +72,3 @@ def test_another_intersector_may_serve(scene: Asset, light: np.ndarray) -> None:
         picture = renderer.render(view_of(scene), WIDTH, HEIGHT)
     assert not picture.coverage.any()
     assert not picture.radiance.any()
-
-
-def test_the_environment_fills_what_the_asset_leaves(scene: Asset, light: np.ndarray) -> None:
-    view = view_of(scene)
-    with CpuRenderer(scene) as renderer:
-        renderer.set_light(light)
-        picture = renderer.render(view, WIDTH, HEIGHT, samples=2)
-    behind = over_background(picture, view, lambda d: np.stack([d[:, 1]] * 3, axis=1))
-    expected = view.directions(WIDTH, HEIGHT)[:, 1].reshape(HEIGHT, WIDTH)
-    empty, full = picture.coverage == 0, picture.coverage == 1
-    np.testing.assert_allclose(behind.radiance[empty, 0], expected[empty], rtol=1e-6)
-    np.testing.assert_array_equal(behind.radiance[full], picture.radiance[full])
-    # L'(d) = L(R^T d): a light turned from x to y shows at y what it had at x
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    turned = over_background(picture, view, lambda d: np.stack([d[:, 0]] * 3, axis=1), turn)
-    np.testing.assert_allclose(turned.radiance[empty, 0], expected[empty], rtol=1e-6)

@@ -19,8 +19,8 @@ from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport import bake as bake_module
 from prtbake_workers.transport.bake import bake_block
-from prtbake_workers.transport.dense_twin import bake_dense, sampled_transport
 from prtbake_workers.transport.directions import cube_directions
+from support.dense_twin import bake_dense, sampled_transport
 
 CUBE = cube_directions(12)
 

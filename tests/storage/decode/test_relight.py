@@ -16,6 +16,7 @@ from prtbake_storage.decode.relight import (
 )
 from prtbake_storage.decode.srbf import gaussian, whitening
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
+from support.quadrature import sphere_quadrature
 
 
 def unit(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -65,6 +66,32 @@ def irradiance_over_pi(normals: np.ndarray, light: LightFit, rotation: np.ndarra
     radiance = kernel @ light.coefficients
     cosine = np.maximum(normals @ directions.T, 0.0)
     return cosine @ radiance * 4 / len(directions)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (33.0, -70.0, 121.0)])
+def test_a_whitened_light_is_the_integral_of_basis_and_radiance(
+    rng: np.random.Generator, angles: tuple[float, float, float]
+) -> None:
+    """L'(d) = L(R^T d) by quadrature: lobes wider than the basis, and narrower ones."""
+    asset, rotation = sphere_asset(unit(rng, 2)), rotation_matrix(angles)
+    light = LightFit(
+        centres=unit(rng, 5),
+        bandwidths=np.array([2.0, 8.0, 30.0, 60.0, 1.0]),
+        coefficients=rng.normal(size=(5, 3)),
+    )
+    directions, weights = sphere_quadrature(80)
+    kernel = gaussian((directions @ rotation) @ light.centres.T, light.bandwidths)
+    flux = (kernel @ light.coefficients) * weights[:, None]
+    basis = gaussian(directions @ asset.centres.T, asset.bandwidth)
+    expected = whitening(asset.centres, asset.bandwidth).inv_sqrt_gram @ (basis.T @ flux)
+    # 1e-9 of the largest: G^(-1/2) amplifies rounding by the root of the condition number
+    atol = 1e-9 * np.abs(expected).max()
+    np.testing.assert_allclose(whitened_light(asset, light, rotation), expected, rtol=0, atol=atol)
+    for wrong in (
+        whitened_light(asset, replace(light, bandwidths=light.bandwidths * 1.001), rotation),
+        whitened_light(asset, light, rotation @ rotation_matrix((0.0, 0.1, 0.0))),
+    ):
+        assert np.abs(wrong - expected).max() > 1e3 * atol
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.0, 90.0, 0.0), (33.0, -70.0, 121.0)])

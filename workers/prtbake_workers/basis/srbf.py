@@ -12,7 +12,6 @@ from prtbake_storage.decode.srbf import (
     gaussian,
     gaussian_product_integral,
     gram_matrix,
-    product_matrix,
     whitening,
 )
 from prtbake_storage.errors import SettingsError
@@ -197,31 +196,6 @@ class SrbfBasis:
     ) -> Float64[F64, "dirs coeffs"]:
         """Matrix that takes samples to whitened coefficients: ``t = samples @ matrix``."""
         return self.projection(directions, weights).matrix
-
-    def light_from_lobes(
-        self,
-        centres: Float64[F64, "lobes 3"],
-        bandwidths: Float64[F64, " lobes"],
-        coefficients: Float64[F64, "lobes 3"],
-        rotation: Float64[F64, "3 3"] | None = None,
-    ) -> Float64[F64, "coeffs 3"]:
-        """Whitened light ``G^(-1/2) A L`` of scattered Gaussian lobes, [Tsai2006]_ eq. (12).
-
-        Parameters
-        ----------
-        centres, bandwidths, coefficients
-            The lobes; three channels.
-        rotation
-            Turns the light: L'(d) = L(R^T d).
-
-        Returns
-        -------
-        ndarray
-            Its dot product with whitened transfer is the integral of transfer times light.
-        """
-        turned = centres if rotation is None else centres @ rotation.T
-        overlaps = product_matrix(self.centres, self.bandwidth, turned, bandwidths)
-        return np.asarray(self.whitening.inv_sqrt_gram @ (overlaps @ coefficients))
 
     def light_from_radiance(
         self,

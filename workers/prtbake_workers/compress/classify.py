@@ -69,7 +69,7 @@ def propose_clusters(
 ) -> Int32[I32, " verts"]:
     """Return the cluster with the least error for each vertex, to float32.
 
-    The present one stays where no other is better.  Its plain twin is ``propose_from_all``.
+    The present one stays where no other is better.
     """
     bases = stacked_bases(factors, z.shape[1])
     n_clusters, r_vert, _ = bases.shape
@@ -104,15 +104,6 @@ def propose_clusters(
 
     map_in_order(propose, range(n_clusters))
     return proposed
-
-
-def propose_from_all(z: View, factors: Sequence[ClusterFactors]) -> Int32[I32, " verts"]:
-    """Return the cluster with the least error for each vertex, trying every cluster."""
-    bases = stacked_bases(factors, z.shape[1])
-    n_clusters, r_vert, _ = bases.shape
-    weights = z.reshape(len(z), -1) @ bases.reshape(n_clusters * r_vert, -1).T
-    scores = _energy(weights.reshape(len(z), n_clusters, r_vert))
-    return np.asarray(np.argmax(scores, axis=1), dtype=np.int32)
 
 
 def stacked_bases(

@@ -77,17 +77,12 @@ class Accelerator:
         self,
         origins: Float32[F32, "rays 3"],
         directions: Float32[F32, "rays 3"],
-        *,
-        max_distance: float = np.inf,
     ) -> Bool[B8, " rays"]:
-        """Tell which rays hit something within ``max_distance`` (scene units)."""
+        """Tell which rays hit something."""
         blocked = np.empty(len(origins), np.bool_)
-        far = self._far(max_distance)
         for start in range(0, len(origins), RAYS_PER_CALL):
             block = slice(start, start + RAYS_PER_CALL)
-            ids = self._scene.run(
-                self._moved(origins[block]), directions[block], query="OCCLUDED", dists=far
-            )
+            ids = self._scene.run(self._moved(origins[block]), directions[block], query="OCCLUDED")
             np.not_equal(ids, _NO_HIT, out=blocked[block])
         return blocked
 
@@ -126,6 +121,3 @@ class Accelerator:
         moved: F32 = origins - self._centre
         moved *= self._scale
         return moved
-
-    def _far(self, distance: float) -> float:
-        return float(min(distance * float(self._scale), float(_FAR)))

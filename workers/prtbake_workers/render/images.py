@@ -12,9 +12,7 @@ from PIL import Image
 from prtbake_storage.decode.texture import linear_to_srgb, srgb_to_linear
 from prtbake_storage.errors import InputError
 from prtbake_workers.arrays import F32, U8, Float32, UInt8
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Rec.709."""
+from prtbake_workers.environment.environment import LUMINANCE
 
 EXPOSED_SHARE = 0.98
 EXPOSED_TO = 0.8

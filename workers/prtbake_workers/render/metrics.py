@@ -9,7 +9,8 @@ import flip_evaluator
 import numpy as np
 
 from prtbake_workers.arrays import B8, F32, Bool, Float32
-from prtbake_workers.render.images import LUMINANCE, to_srgb8
+from prtbake_workers.environment.environment import LUMINANCE
+from prtbake_workers.render.images import to_srgb8
 
 REL_MSE_FLOOR = 0.01
 """Added to the squared reference, in units of its mean: black pixels would divide by zero."""

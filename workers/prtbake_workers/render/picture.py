@@ -1,7 +1,6 @@
 """What a renderer gives, and the rule by which every backend decides what a pixel sees."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,24 +76,3 @@ def reduce_samples(picture: Picture, samples: int) -> Picture:
         picture.radiance.reshape(*blocks, 3).mean(axis=(1, 3), dtype=np.float32),
         picture.coverage.reshape(blocks).mean(axis=(1, 3), dtype=np.float32),
     )
-
-
-def over_background(
-    picture: Picture,
-    view: Pinhole,
-    lookup: Callable[[F64], F64],
-    rotation: Float64[F64, "3 3"] | None = None,
-) -> Picture:
-    """Put the environment behind a picture.
-
-    ``lookup`` gives the radiance (n, 3) of unit directions (n, 3); a light turned by R is
-    L'(d) = L(R^T d).
-    """
-    height, width = picture.coverage.shape
-    directions = view.directions(width, height)
-    if rotation is not None:
-        directions = directions @ rotation
-    behind = np.asarray(lookup(directions), np.float32).reshape(height, width, 3)
-    rest = 1.0 - picture.coverage
-    radiance: F32 = picture.radiance + rest[:, :, None] * behind
-    return Picture(radiance, np.ones_like(picture.coverage))

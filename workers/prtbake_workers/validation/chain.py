@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_storage.contract.settings import Camera, ValidateSettings
+from prtbake_storage.decode.relight import whitened_light
 from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -191,7 +192,5 @@ def fitted_light(
     validation: ValidationScene, rotation: Float64[F64, "3 3"]
 ) -> Float64[F64, "coeffs 3"]:
     """Whiten the fitted light, turned."""
-    light = validation.light
-    return validation.basis.light_from_lobes(
-        light.centres, light.bandwidths, light.coefficients, rotation
-    )
+    roots = validation.basis.whitening
+    return whitened_light(validation.finest, validation.light, rotation, roots=roots)

@@ -22,12 +22,9 @@ class BruteForce:
         self,
         origins: Float32[F32, "rays 3"],
         directions: Float32[F32, "rays 3"],
-        *,
-        max_distance: float = np.inf,
     ) -> Bool[B8, " rays"]:
-        """Tell which rays hit something within ``max_distance``."""
-        found: B8 = self.intersect(origins, directions).distance <= max_distance
-        return found & np.isfinite(self.intersect(origins, directions).distance)
+        """Tell which rays hit something."""
+        return self.intersect(origins, directions).triangles >= 0
 
     def intersect(
         self, origins: Float32[F32, "rays 3"], directions: Float32[F32, "rays 3"]
