@@ -90,8 +90,10 @@ def test_a_retro_reflectors_peak_stays_at_the_light():
     assert back == pytest.approx(retro.eval_brdf(wi, wi)[0, 0], rel=0.1)
 
 
-def test_many_samples_are_interpolated_from_the_nearest(monkeypatch, rough, directions):
+def test_many_samples_are_interpolated_from_the_nearest(monkeypatch, directions):
     monkeypatch.setattr("prtbake_workers.brdf.scattered.MAX_GLOBAL", 100)
+    # a system of equations for every bin takes its time
+    monkeypatch.setattr("prtbake_workers.brdf.scattered.SHAPE", (24, 24, 12))
     table, _ = interpolate_scattered(measured(ROUGH, n_lights=8, n_rings=9))
     assert off(table, directions) < 0.05
 
@@ -107,6 +109,20 @@ def test_symmetric_samples_are_merged():
     _, report = interpolate_scattered(measured(ROUGH, n_lights=4, n_rings=5))
     # mirror images in dphi, and pairs of light and view that the rings repeat
     assert report["n_merged"] > 0.3 * report["n_samples"]
+    assert report["asymmetry"] < 1e-6  # nine digits in the text
+
+
+def test_what_symmetry_takes_away_is_told():
+    """A sheet that is brighter to one side: the mean is off by half of the difference."""
+    theta_i, theta_o, dphi = goniometer(4, 5)
+    side = np.where(np.sin(dphi) > 1e-9, 1.2, np.where(np.sin(dphi) < -1e-9, 0.8, 1.0))
+    values = grey_samples(ROUGH, theta_i, theta_o, dphi) * side
+    _, report = interpolate_scattered(
+        read_scattered_text(spectral_text(theta_i, theta_o, dphi, values))
+    )
+    assert 0.1 < report["asymmetry"] < 0.2
+    assert report["at_samples"]["relative_l2"] == pytest.approx(report["asymmetry"], rel=0.2)
+    assert report["held_out"]["relative_l2"] > 0.0
 
 
 def test_a_handful_of_samples_is_refused():

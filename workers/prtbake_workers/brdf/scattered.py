@@ -7,7 +7,7 @@ from scipy.interpolate import RBFInterpolator
 from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import BrdfError
-from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.brdf.half_difference import HalfDifference, half_difference
 from prtbake_workers.brdf.half_difference_table import (
     HalfDifferenceTable,
@@ -35,11 +35,15 @@ LOG_OFFSET = 1e-3
 
 
 class _Merged(NamedTuple):
-    """Different places, what was measured there, and the product of both cosines."""
+    """Different places, what was measured there, and the product of both cosines.
+
+    ``owner`` gives the place of each sample.
+    """
 
     places: Float64[F64, "n 3"]
     values: Float64[F64, "n 3"]
     weight: Float64[F64, " n"]
+    owner: Int64[I64, " samples"]
 
 
 def interpolate_scattered(
@@ -59,7 +63,8 @@ def interpolate_scattered(
         Isotropic, reciprocal and mirror-symmetric.
     dict
         The samples' facts, and errors: ``held_out`` at every sample when a fifth of them, itself
-        among them, is kept from the interpolant; ``at_samples`` of the table where all were used.
+        among them, is kept from the interpolant; ``at_samples`` of the table where all were used;
+        ``asymmetry`` of averaging samples that the symmetries bring together.
         Each is relative L2 weighted with both cosines, which highlights decide, and the root mean
         square of the logarithm.
 
@@ -92,6 +97,9 @@ def interpolate_scattered(
         )
     report = samples.facts | {
         "n_merged": len(samples.values) - len(merged.values),
+        "asymmetry": _errors(merged.values[merged.owner], samples.values, _weight(samples))[
+            "relative_l2"
+        ],
         "held_out": _errors(held_out, merged.values, merged.weight),
         "at_samples": _errors(
             table.eval_brdf(samples.wi, samples.wo), samples.values, _weight(samples)
@@ -125,7 +133,8 @@ def _merge(samples: ScatteredSamples) -> _Merged:
     unique, first, owner = np.unique(places, axis=0, return_index=True, return_inverse=True)
     total = np.zeros_like(unique)
     np.add.at(total, owner, samples.values)
-    return _Merged(unique, total / np.bincount(owner)[:, None], _weight(samples)[first])
+    mean = total / np.bincount(owner)[:, None]
+    return _Merged(unique, mean, _weight(samples)[first], owner.astype(np.int64))
 
 
 def _interpolate(
