@@ -8,7 +8,6 @@ import pytest
 
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.brute_force import BruteForce
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
@@ -24,6 +23,7 @@ from support.bounce_scenes import (
     bowl,
     disc,
     disc_to_disc,
+    opaque,
     patch,
     point_to_disc,
     turned_inside_out,
@@ -32,8 +32,7 @@ from support.bounce_scenes import (
 
 def build(scene, *, albedo=None, n_rays=64, seed=5, rows=None, **options):
     return build_bounce_block(
-        scene,
-        Accelerator(scene.positions, scene.faces, robust=True),
+        opaque(scene),
         rows or (0, n_bounce_rows(scene, options.get("two_sided"))),
         albedo=albedo or Albedo.constant(1.0),
         n_rays=n_rays,
