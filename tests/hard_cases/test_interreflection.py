@@ -5,7 +5,6 @@ import pytest
 
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.environment.procedural import constant
-from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.loading import load_mesh
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -16,13 +15,12 @@ from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
-from support.bounce_scenes import ball, bowl, patch, turned_inside_out
+from support.bounce_scenes import ball, bowl, opaque, patch, turned_inside_out
 
 
 def operator(scene, albedo=None, n_rays=128):
-    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
     return build_bounce_block(
-        scene, accelerator, (0, scene.n_vertices),
+        opaque(scene), (0, scene.n_vertices),
         albedo=albedo or Albedo.constant(1.0), n_rays=n_rays, seed=1,
     )  # fmt: skip
 
@@ -34,7 +32,7 @@ def sums(block):
 def traced(scene, vertices, albedo=0.8, n_bounces=3, n_samples=64):
     parts = [PathMaterial(Lambert(np.array([albedo])))] * len(scene.part_ranges)
     return trace_paths(
-        scene, Accelerator(scene.positions, scene.faces, robust=True), parts,
+        opaque(scene), parts,
         PathPoints.of_vertices(scene, vertices, scene.normals[vertices]), constant(16), np.eye(3),
         n_bounces=n_bounces, n_passes=4, n_samples=n_samples, seed=1,
     )  # fmt: skip

@@ -119,34 +119,6 @@ def test_the_stated_compression_error_is_that_of_the_files(glossy_asset, store):
             assert stated == pytest.approx(ratio, rel=1e-3)
 
 
-def test_every_stage_says_the_bytes_that_it_left(glossy_asset, store):
-    _, _, results = glossy_asset
-    (planned,), (quantised,), (rendered,) = (
-        results[name] for name in ("plan", "quantise", "render")
-    )
-    left = {
-        "plan": [planned["scene"], planned["projection"]],
-        "bake": [tile["tile"] for tile in results["bake"]],
-        "join": [results["join"][0]["transfer"]],
-        "compress": [part["factors"] for part in results["compress"]],
-        "quantise": [quantised["asset"], quantised["exact"]],
-        "fit_light": [results["fit_light"][0]["light"]],
-        "render": [picture["digest"] for picture in rendered["pictures"]],
-        "validate": [
-            digest
-            for camera in results["validate"]
-            for view in camera["views"]
-            for digest in view["pictures"].values()
-        ],
-    }
-    stages = results["report"][0]["report"]["stages"]
-    stated = {stage["name"]: stage["bytes"] for stage in stages}
-    assert stated == {
-        name: sum(store.size(digest) for digest in digests) for name, digests in left.items()
-    }
-    assert min(stated.values()) > 0
-
-
 def test_the_asset_says_how_it_was_made(glossy_asset, store):
     request, _, results = glossy_asset
     provenance = read_asset(store.local_path(results["quantise"][0]["asset"])).provenance

@@ -2,9 +2,16 @@
 
 import numpy as np
 
+from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere, icosphere_faces
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.primitives import grid_mesh
+from prtbake_workers.transport.surface import OpaqueSurface
+
+
+def opaque(scene):
+    """The scene ready for rays, with closed rooms closed."""
+    return OpaqueSurface(scene, Accelerator(scene.positions, scene.faces, robust=True))
 
 
 def patch(corner, edge_u, edge_v, n_u, n_v):

@@ -8,8 +8,6 @@ import pytest
 
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.brute_force import BruteForce
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -24,16 +22,17 @@ from support.bounce_scenes import (
     bowl,
     disc,
     disc_to_disc,
+    opaque,
     patch,
     point_to_disc,
     turned_inside_out,
 )
+from support.brute_force import BruteForce
 
 
 def build(scene, *, albedo=None, n_rays=64, seed=5, rows=None, **options):
     return build_bounce_block(
-        scene,
-        Accelerator(scene.positions, scene.faces, robust=True),
+        opaque(scene),
         rows or (0, n_bounce_rows(scene, options.get("two_sided"))),
         albedo=albedo or Albedo.constant(1.0),
         n_rays=n_rays,

@@ -11,7 +11,6 @@ import pytest
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.procedural import constant
-from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
@@ -24,6 +23,7 @@ from support.bounce_scenes import (
     bowl,
     disc,
     discs_by_quadrature,
+    opaque,
     patch,
     point_to_wall,
 )
@@ -39,9 +39,8 @@ def half_sky():
 
 
 def operator(scene, albedo, n_rays=N_RAYS, seed=2):
-    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
     return build_bounce_block(
-        scene, accelerator, (0, scene.n_vertices), albedo=albedo, n_rays=n_rays, seed=seed
+        opaque(scene), (0, scene.n_vertices), albedo=albedo, n_rays=n_rays, seed=seed
     )
 
 
@@ -63,8 +62,7 @@ def traced(scene, albedos, vertices, light, n_bounces, *, n_samples=256, n_passe
     """Mean radiance of vertices and its standard error."""
     vertices = np.asarray(vertices)
     found = trace_paths(
-        scene,
-        Accelerator(scene.positions, scene.faces, robust=True),
+        opaque(scene),
         [PathMaterial(Lambert(np.array(albedo, np.float64))) for albedo in albedos],
         PathPoints.of_vertices(scene, vertices, scene.normals[vertices]),
         light,

@@ -25,7 +25,7 @@ from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
 from prtbake_workers.transport.proposal import Proposal
 from prtbake_workers.transport.reference import blocks, to_local, visible_cosine
 from prtbake_workers.validation.light import draw_pass, subdivided_texels
-from support.bounce_scenes import ball, disc, patch, turned_inside_out
+from support.bounce_scenes import ball, disc, opaque, patch, turned_inside_out
 
 ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 GLOSSY = CookTorrance(np.array([0.3]), np.array([0.7]), 0.3, np.array([0.1]))
@@ -69,9 +69,8 @@ def seen_points(scene, n=60):
 
 def trace(scene, parts, points, light, **options):
     options = {"n_bounces": 1, "n_passes": 8, "n_samples": 64, "seed": 1} | options
-    accelerator = Accelerator(scene.positions, scene.faces, robust=True)
     rotation = options.pop("rotation", np.eye(3))
-    return trace_paths(scene, accelerator, parts, points, light, rotation, **options)
+    return trace_paths(opaque(scene), parts, points, light, rotation, **options)
 
 
 def assert_same_expectation(one, other, slack=0.0):
@@ -189,9 +188,8 @@ def test_diffuse_paths_equal_the_bounce_operator(nook):
     albedos = np.array([[0.6, 0.6, 0.6], [0.8, 0.4, 0.1], [0.3, 0.5, 0.7]])
     parts = materials(*(Lambert(albedo) for albedo in albedos))
     of_vertex = np.repeat(albedos, [stop - start for start, stop in nook.part_ranges], axis=0)
-    accelerator = Accelerator(nook.positions, nook.faces, robust=True)
     block = build_bounce_block(
-        nook, accelerator, (0, nook.n_vertices),
+        opaque(nook), (0, nook.n_vertices),
         albedo=Albedo.of_vertices(nook.faces, of_vertex), n_rays=1024, seed=3,
     )  # fmt: skip
     series = bounce_series(

@@ -14,6 +14,7 @@ from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
 from prtbake_workers.transport.separable_bounce import SentArray, gather_bounce
+from prtbake_workers.transport.surface import OpaqueSurface
 from support.bounce_scenes import ball, patch
 
 N_RAYS, SEED, N_COEFFS = 64, 5, 70
@@ -64,7 +65,11 @@ def test_diffuse_parts_bounce_as_the_sparse_operator_does(
     albedo = Albedo.of_vertices(scene.faces, values)
     sent = transfers(rng, scene, [diffuse, diffuse], channels)
     block = build_bounce_block(
-        scene, accelerator, (0, scene.n_vertices), albedo=albedo, n_rays=N_RAYS, seed=SEED
+        OpaqueSurface(scene, accelerator),
+        (0, scene.n_vertices),
+        albedo=albedo,
+        n_rays=N_RAYS,
+        seed=SEED,
     )
     stacked = np.concatenate(sent)[:, 0]
     for part, (start, stop) in enumerate(scene.part_ranges):

@@ -23,8 +23,7 @@ from scipy.sparse import coo_array, csr_array, vstack
 
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import B8, F32, F64, I32, I64, Bool, Float32, Float64, Int64
-from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
@@ -80,8 +79,7 @@ def n_bounce_rows(scene: Scene, two_sided: Bool[B8, " tris"] | None) -> int:
 
 
 def build_bounce_block(
-    scene: Scene,
-    accelerator: Accelerator,
+    surface: OpaqueSurface,
     row_range: tuple[int, int],
     *,
     albedo: Albedo,
@@ -93,10 +91,8 @@ def build_bounce_block(
 
     Parameters
     ----------
-    scene
+    surface
         All parts, all of which reflect.
-    accelerator
-        Of all the scene's triangles in their order; robust, or rooms leak at their edges.
     row_range
         First and one past the last row.  Row v is vertex v.
     albedo
@@ -122,19 +118,18 @@ def build_bounce_block(
     SettingsError
         A range outside the operator, no rays, or an albedo outside its bounds.
     """
-    n_rows = n_bounce_rows(scene, two_sided)
+    n_rows = n_bounce_rows(surface.scene, two_sided)
     start, stop = row_range
     if not 0 <= start <= stop <= n_rows:
         raise SettingsError(f"row range {start}..{stop} is outside the operator's {n_rows}")
     if n_rays < 1:
         raise SettingsError(f"n_rays must be at least 1, not {n_rays}")
-    epsilon = ray_epsilon(scene.bounds)
     rows = np.arange(start, stop)
     if albedo.is_black:
         empty = csr_array((stop - start, n_rows), dtype=np.float32)
         matrices = (empty,) * albedo.n_channels
-        return BounceBlock(matrices, np.ones(stop - start), 0, 0, 0, 0, 0, epsilon)
-    tracer = _Tracer(scene, accelerator, albedo, n_rays, seed, two_sided, epsilon)
+        return BounceBlock(matrices, np.ones(stop - start), 0, 0, 0, 0, 0, surface.epsilon)
+    tracer = _Tracer(surface, albedo, n_rays, seed, two_sided)
     step = max(1, RAYS_PER_CHUNK // n_rays)
     chunks = [tracer.trace(rows[i : i + step]) for i in range(0, len(rows), step)]
     if not chunks:
@@ -162,22 +157,19 @@ class _Tracer:
 
     def __init__(
         self,
-        scene: Scene,
-        accelerator: Accelerator,
+        surface: OpaqueSurface,
         albedo: Albedo,
         n_rays: int,
         seed: int,
         two_sided: B8 | None,
-        epsilon: float,
     ) -> None:
+        scene = surface.scene
+        self.surface = surface
         self.scene = scene
-        self.accelerator = accelerator
         self.albedo = albedo
         self.two_sided = two_sided
         self.seed = seed
-        self.epsilon = epsilon
         self.pattern = lattice(n_rays)
-        self.surface = OpaqueSurface(scene, accelerator, epsilon)
         self.n_rows = n_bounce_rows(scene, two_sided)
         reflects = np.ones(self.n_rows, np.bool_)
         if two_sided is not None:
@@ -195,7 +187,7 @@ class _Tracer:
         n_own, n = directions.shape[:2]
         points = self.scene.ray_points[vertices[own]]
         sides = np.where(back[own, None], -1.0, 1.0) * self.scene.ray_sides[vertices[own]]
-        origins = offset_origins(points, sides, self.epsilon)
+        origins = offset_origins(points, sides, self.surface.epsilon)
         flat = directions.reshape(-1, 3)
         hits = self.surface.intersect(np.repeat(origins, n, axis=0), flat)
         reflects = hits.front
@@ -217,7 +209,7 @@ class _Tracer:
             n_back_hits=len(hits.rays) - len(which),
             n_probes=n_own,
             n_self_hits=self._self_hits(points, directions[:, 0], hits),
-            epsilon=self.epsilon,
+            epsilon=self.surface.epsilon,
         )
 
     def _self_hits(self, points: F64, directions: Float32[F32, "own 3"], hits: SurfaceHits) -> int:
@@ -225,8 +217,10 @@ class _Tracer:
         first = np.flatnonzero(hits.rays % len(self.pattern) == 0)
         distance = np.full(len(points), np.inf)
         distance[hits.rays[first] // len(self.pattern)] = hits.distance[first]
-        bare = self.accelerator.intersect(points.astype(np.float32), directions).distance
-        return int(np.count_nonzero((bare <= self.epsilon) & (distance > self.epsilon)))
+        bare = self.surface.accelerator.intersect(points.astype(np.float32), directions).distance
+        return int(
+            np.count_nonzero((bare <= self.surface.epsilon) & (distance > self.surface.epsilon))
+        )
 
     def _directions(self, rows: I64, vertices: I64, normals: F64) -> Float32[F32, "own rays 3"]:
         """Give each row its own cosine-distributed directions."""

@@ -21,8 +21,7 @@ from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, In
 from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.sampling import EnvironmentSampler
-from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.hemisphere_rays import lattice
 from prtbake_workers.transport.path_points import PathPoints
@@ -89,8 +88,7 @@ class PathEstimate:
 
 
 def trace_paths(
-    scene: Scene,
-    accelerator: Accelerator,
+    surface: OpaqueSurface,
     materials: Sequence[PathMaterial],
     points: PathPoints,
     environment: Environment,
@@ -107,8 +105,8 @@ def trace_paths(
 
     Parameters
     ----------
-    scene, accelerator
-        All triangles, in one order.  A robust accelerator keeps closed rooms closed.
+    surface
+        All parts.
     materials
         One a part.
     points
@@ -137,8 +135,8 @@ def trace_paths(
     SettingsError
         Counts out of range, or not one material a part.
     """
-    _check(scene, materials, n_bounces, n_passes, n_samples)
-    tracer = _PathTracer(scene, accelerator, materials, environment, rotation, roulette_from)
+    _check(surface.scene, materials, n_bounces, n_passes, n_samples)
+    tracer = _PathTracer(surface, materials, environment, rotation, roulette_from)
     passes = np.zeros((n_passes, len(points), 3))
     by_bounce = np.zeros((n_bounces + 1, len(points), 3))
     for index in range(n_passes):
@@ -180,23 +178,20 @@ class _Numbers:
 class _PathTracer:
     def __init__(
         self,
-        scene: Scene,
-        accelerator: Accelerator,
+        surface: OpaqueSurface,
         materials: Sequence[PathMaterial],
         environment: Environment,
         rotation: Float64[F64, "3 3"],
         roulette_from: int | None,
     ) -> None:
-        self.scene = scene
-        self.accelerator = accelerator
+        self.surface = surface
+        self.scene = surface.scene
         self.materials = materials
         self.proposals = [fit_proposal(material.brdf) for material in materials]
         self.environment = environment
         self.sampler = EnvironmentSampler(environment)
         self.rotation = rotation
         self.roulette_from = roulette_from
-        self.epsilon = ray_epsilon(scene.bounds)
-        self.surface = OpaqueSurface(scene, accelerator, self.epsilon)
         self.two_sided = np.array([material.two_sided for material in materials])
         self.n_rays = 0
 
@@ -245,7 +240,7 @@ class _PathTracer:
         value, density = self._reflect(at, wi, wo)
         light = value * texture * samples.radiance / (samples.pdf + density)[:, None]
         open_ = np.flatnonzero(light.any(axis=1))
-        blocked = self.accelerator.occluded(
+        blocked = self.surface.accelerator.occluded(
             self._origins(at, open_), directions[open_].astype(np.float32)
         )
         self.n_rays += len(open_)
@@ -273,7 +268,7 @@ class _PathTracer:
         origins, directions = self._origins(at, carrying), wi[carrying].astype(np.float32)
         self.n_rays += len(carrying)
         if last:
-            blocked = self.accelerator.occluded(origins, directions)
+            blocked = self.surface.accelerator.occluded(origins, directions)
             nowhere = np.zeros(0, np.int64)
             return carrying[~blocked], nowhere, (nowhere, np.zeros((0, 3)))
         hits = self.surface.intersect(origins, directions)
@@ -322,8 +317,8 @@ class _PathTracer:
         return np.asarray(u < chance)
 
     def _origins(self, at: PathPoints, which: I64) -> Float32[F32, "rays 3"]:
-        surface = at.surface
-        return offset_origins(surface.positions[which], surface.side[which], self.epsilon)
+        points = at.surface
+        return offset_origins(points.positions[which], points.side[which], self.surface.epsilon)
 
 
 def _check(

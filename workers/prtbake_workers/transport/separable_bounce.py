@@ -23,7 +23,7 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
@@ -197,10 +197,9 @@ def _cast(
     vertices: Int64[I64, " verts"],
     directions: Float32[F32, "verts rays 3"],
 ) -> _Rays:
-    epsilon = ray_epsilon(scene.bounds)
-    origins = offset_origins(scene.ray_points[vertices], scene.ray_sides[vertices], epsilon)
+    surface = OpaqueSurface(scene, accelerator)
+    origins = offset_origins(scene.ray_points[vertices], scene.ray_sides[vertices], surface.epsilon)
     flat = np.ascontiguousarray(directions.reshape(-1, 3))
-    surface = OpaqueSurface(scene, accelerator, epsilon)
     hits = surface.intersect(np.repeat(origins, directions.shape[1], axis=0), flat)
     index = hits.rays[hits.front]
     return _Rays(

@@ -8,6 +8,7 @@ import numpy as np
 from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.mesh import face_area_vectors
+from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.reference import SurfacePoints
 
@@ -21,6 +22,8 @@ COINCIDENT_OFFSETS = 2.0
 HALVES_AXIS = np.array([0.5321, 0.6143, 0.5827], np.float32)
 """Splits triangles by the way they face; perpendicular to no plane that anyone builds on purpose,
 or two layers of it could end up in one half."""
+
+OCTANT_BITS = np.array([1, 2, 4], np.uint8)
 
 
 def interpolate_surface(
@@ -49,7 +52,7 @@ def above_horizon(
 
 
 class SurfaceHits(NamedTuple):
-    """What rays meet: only those that meet anything.
+    """What rays meet: only those that meet anything, octant by octant.
 
     ``front`` tells those that come from the side that the surface's normals stand on, whatever its
     winding.
@@ -72,15 +75,18 @@ class OpaqueSurface:
     Parameters
     ----------
     scene, accelerator
-        The same triangles in the same order.
+        The same triangles in the same order.  A robust accelerator keeps rays in closed rooms.
+
+    Attributes
+    ----------
     epsilon
         Offset of ray origins: surfaces less than two of them apart lie in one place.
     """
 
-    def __init__(self, scene: Scene, accelerator: Accelerator, epsilon: float) -> None:
-        self._scene = scene
-        self._accelerator = accelerator
-        self._apart = COINCIDENT_OFFSETS * epsilon
+    def __init__(self, scene: Scene, accelerator: Accelerator) -> None:
+        self.scene = scene
+        self.accelerator = accelerator
+        self.epsilon = ray_epsilon(scene.bounds)
         across = face_area_vectors(scene.positions, scene.faces)
         # only directions are read: areas would underflow in float32 on a tiny scene
         length = np.linalg.norm(across, axis=1, keepdims=True)
@@ -92,7 +98,7 @@ class OpaqueSurface:
         self, origins: Float32[F32, "rays 3"], directions: Float32[F32, "rays 3"]
     ) -> SurfaceHits:
         """Find what each ray meets first."""
-        found = self._hits(self._accelerator, None, origins, directions)
+        found = self._hits(self.accelerator, None, origins, directions)
         back = np.flatnonzero(~found.front)
         if len(back) == 0:
             return found
@@ -108,7 +114,10 @@ class OpaqueSurface:
             slope = np.einsum(
                 "hj,hj->h", self._across[found.triangles[hit]], directions[found.rays[hit]]
             )
-            near = np.abs((other.distance - found.distance[hit]) * slope) <= self._apart
+            near = (
+                np.abs((other.distance - found.distance[hit]) * slope)
+                <= COINCIDENT_OFFSETS * self.epsilon
+            )
             keep = near & other.front
             found.triangles[hit[keep]] = other.triangles[keep]
             found.barycentrics[hit[keep]] = other.barycentrics[keep]
@@ -118,17 +127,21 @@ class OpaqueSurface:
     def _hits(
         self, accelerator: Accelerator, own: I64 | None, origins: F32, directions: F32
     ) -> SurfaceHits:
-        hits = accelerator.intersect(origins, directions)
-        rays = np.flatnonzero(hits.triangles >= 0)
-        triangles = hits.triangles[rays].astype(np.int64)
+        # rays of one octant after another walk the same part of the tree: a quarter faster where it
+        # outgrows the cache
+        order = np.argsort((directions < 0.0) @ OCTANT_BITS, kind="stable")
+        hits = accelerator.intersect(origins[order], directions[order])
+        hit = np.flatnonzero(hits.triangles >= 0)
+        rays = order[hit]
+        triangles = hits.triangles[hit].astype(np.int64)
         if own is not None:
             triangles = own[triangles]
-        barycentrics = np.maximum(hits.barycentrics[rays].astype(np.float64), 0.0)
+        barycentrics = np.maximum(hits.barycentrics[hit].astype(np.float64), 0.0)
         barycentrics /= barycentrics.sum(axis=1, keepdims=True)
         approach = np.einsum("hj,hj->h", self._across[triangles], directions[rays])
         leaning = np.einsum("hc,hc->h", self._leaning[triangles], barycentrics)
         front = np.asarray(np.where(leaning < 0.0, approach > 0.0, approach < 0.0))
-        return SurfaceHits(rays, triangles, barycentrics, hits.distance[rays], front)
+        return SurfaceHits(rays, triangles, barycentrics, hits.distance[hit], front)
 
     @cached_property
     def _turned(self) -> Bool[B8, " tris"]:
@@ -139,7 +152,7 @@ class OpaqueSurface:
     @cached_property
     def _halves(self) -> tuple[tuple[Accelerator, I64], tuple[Accelerator, I64]]:
         """The triangles of each half, ready for rays; built when the first back is met."""
-        scene, turned = self._scene, self._turned
+        scene, turned = self.scene, self._turned
         first, second = np.flatnonzero(~turned), np.flatnonzero(turned)
         return (
             (Accelerator(scene.positions, scene.faces[first], robust=True), first),
