@@ -287,7 +287,7 @@ def test_upload_and_register(run: Run, service: LiveService, tmp_path: Path) -> 
     [
         ["register", "mesh", "FILE"],
         ["submit", "bake", "--mesh", "FILE", "--brdf", "lambert"],
-        ["submit", "bake", "--mesh", "builtin:teapot:6", "--brdf", "lambert"],
+        ["submit", "bake", "--mesh", "builtin:teapot:7", "--brdf", "lambert"],
     ],
     ids=["register", "submit", "built-in"],
 )
