@@ -52,5 +52,7 @@ def test_what_cannot_be_compared_is_refused():
     brushed = brdf_from_spec(WardSpec(alpha_x=0.1, alpha_y=0.3))
     with pytest.raises(BrdfError, match="isotropic"):
         brdf_distance(brushed, GREY)
+    black = brdf_from_spec(LambertSpec(albedo=0.0))
     with pytest.raises(BrdfError, match="black"):
-        brdf_distance(GREY, brdf_from_spec(LambertSpec(albedo=0.0)))
+        brdf_distance(GREY, black)
+    assert brdf_distance(black, black).relative_l2 == 0.0

@@ -76,4 +76,8 @@ def test_bytes_that_are_no_text_are_refused():
 def test_a_table_is_known_by_its_first_column():
     assert is_fit_table(ABC.encode())
     assert is_fit_table(sgd_table())
+    # spreadsheets put a mark before the text
+    marked = "\ufeff".encode() + (ABC + ABC_ROWS).encode()
+    assert is_fit_table(marked)
+    assert read_fit_table(marked, "two").ior == 1.1
     assert not is_fit_table(b'{"name": 1}')

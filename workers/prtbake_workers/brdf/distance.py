@@ -35,7 +35,7 @@ def brdf_distance(
     Raises
     ------
     BrdfError
-        One of them is anisotropic, or the reference is black.
+        One of them is anisotropic, or the reference alone is black.
     """
     if not (is_isotropic(brdf) and is_isotropic(reference)):
         raise BrdfError("the distance is defined for isotropic BRDFs")
@@ -46,7 +46,9 @@ def brdf_distance(
     weight = cosines[:, None, None, None] * cosines[:, None, None]
     norm = float(np.linalg.norm(wanted * weight))
     if norm == 0.0:
-        raise BrdfError("nothing can be compared with a black BRDF")
+        if values.any():
+            raise BrdfError("only black can be compared with a black BRDF")
+        return BrdfDistance(relative_l2=0.0, median_ratio=1.0)
     positive = wanted > 0.0
     return BrdfDistance(
         relative_l2=float(np.linalg.norm((values - wanted) * weight)) / norm,

@@ -1,5 +1,6 @@
 """Tables of published fits as CSV: one material a row, SGD or ABC by the names of the columns."""
 
+import codecs
 import csv
 import io
 import math
@@ -35,7 +36,7 @@ NAMES_SHOWN = 8
 
 def is_fit_table(data: bytes) -> bool:
     """Tell whether the bytes begin with the header of such a table."""
-    return data.startswith(b"name,")
+    return data.removeprefix(codecs.BOM_UTF8).startswith(b"name,")
 
 
 def read_fit_table(data: bytes, material: str | None) -> SgdSpec | AbcSpec:
