@@ -3,9 +3,10 @@
 ``PRTBAKE_DATA`` names the folder with the ``meshes``, ``environments`` and ``brdfs`` of the
 real-data suite.  Where it is unset, the tests marked ``real_data`` are deselected (never skipped).
 Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
-server gives them one.
+server gives them one, and those marked ``mitsuba`` where Mitsuba 3 is not installed.
 """
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         lacking.append("real_data")
     if not available():
         lacking.append("postgres")
+    if not has_mitsuba():
+        lacking.append("mitsuba")
     out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
     if out:
         config.hook.pytest_deselected(items=out)
@@ -39,7 +42,14 @@ def pytest_report_header() -> list[str]:
         header.append(f"real data: none ({DATA_VARIABLE} is unset): its tests are deselected")
     if not available():
         header.append("postgresql: not installed: its tests are deselected")
+    if not has_mitsuba():
+        header.append("mitsuba: not installed: its tests are deselected")
     return header
+
+
+def has_mitsuba() -> bool:
+    """Whether Mitsuba 3 can be compared with."""
+    return importlib.util.find_spec("mitsuba") is not None
 
 
 @pytest.fixture(scope="session")
