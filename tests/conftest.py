@@ -5,8 +5,10 @@ real-data suite.  Where it is unset, the tests marked ``real_data`` are deselect
 Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
 server gives them one, and those marked ``own_postgres`` where none is installed;
 ``PRTBAKE_REQUIRE_POSTGRES=1`` (set in CI) keeps them, so that they fail instead.
+Those marked ``mitsuba`` are deselected where Mitsuba 3 is not installed.
 """
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,6 +37,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             lacking.append("postgres")
         if find_postgres() is None:
             lacking.append("own_postgres")
+    if not has_mitsuba():
+        lacking.append("mitsuba")
     out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
     if out:
         config.hook.pytest_deselected(items=out)
@@ -50,7 +54,14 @@ def pytest_report_header() -> list[str]:
     if not available():
         fate = "fail" if os.environ.get(POSTGRES_VARIABLE) else "are deselected"
         header.append(f"postgresql: not installed: its tests {fate}")
+    if not has_mitsuba():
+        header.append("mitsuba: not installed: its tests are deselected")
     return header
+
+
+def has_mitsuba() -> bool:
+    """Whether Mitsuba 3 can be compared with."""
+    return importlib.util.find_spec("mitsuba") is not None
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ rays start at p + epsilon n_g.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.hemisphere_rays import lattice
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.proposal import fit_proposal
+from prtbake_workers.transport.proposal import Proposal, fit_proposal
 from prtbake_workers.transport.reference import blocks
 from prtbake_workers.transport.surface import OpaqueSurface
 
@@ -54,6 +55,11 @@ class PathMaterial:
     brdf: Brdf
     texture: Callable[[Int64[I64, " n"], Float64[F64, "n 3"]], Float64[F64, "n 3"]] | None = None
     two_sided: bool = False
+
+    @cached_property
+    def proposal(self) -> Proposal:
+        """The density that paths go on with, fitted once."""
+        return fit_proposal(self.brdf)
 
 
 @dataclass(frozen=True)
@@ -187,7 +193,6 @@ class _PathTracer:
         self.surface = surface
         self.scene = surface.scene
         self.materials = materials
-        self.proposals = [fit_proposal(material.brdf) for material in materials]
         self.environment = environment
         self.sampler = EnvironmentSampler(environment)
         self.rotation = rotation
@@ -253,9 +258,9 @@ class _PathTracer:
         """Draw world directions, with f / q and q; a weight of 0 where nothing is reflected."""
         local = np.zeros_like(wo)
         part = self.scene.part_of_face[at.triangles]
-        for index, proposal in enumerate(self.proposals):
+        for index, material in enumerate(self.materials):
             own = np.flatnonzero(part == index)
-            local[own] = proposal.sample(wo[own], u[own, 2], u[own, 3:5])
+            local[own] = material.proposal.sample(wo[own], u[own, 2], u[own, 3:5])
         value, density = self._reflect(at, local, wo)
         weight = value * texture / np.where(density > 0.0, density, 1.0)[:, None]
         return np.einsum("pij,pi->pj", at.frames, local), weight, density
@@ -288,13 +293,11 @@ class _PathTracer:
         """Evaluate rho cos and q for local directions, part by part."""
         value, density = np.zeros_like(wi), np.zeros(len(wi))
         part = self.scene.part_of_face[at.triangles]
-        for index, (material, proposal) in enumerate(
-            zip(self.materials, self.proposals, strict=True)
-        ):
+        for index, material in enumerate(self.materials):
             own = np.flatnonzero((part == index) & (wi[:, 2] > 0.0))
             if len(own):
                 value[own] = material.brdf.eval_brdf(wi[own], wo[own]) * wi[own, 2:]
-                density[own] = proposal.pdf(wi[own], wo[own])
+                density[own] = material.proposal.pdf(wi[own], wo[own])
         return value, density
 
     def _texture(self, at: PathPoints) -> Float64[F64, "paths 3"]:

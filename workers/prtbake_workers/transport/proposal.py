@@ -20,7 +20,7 @@ LOBE_SHARES = (0.4, 0.8, 0.95)
 """Never 1: what lies outside the lobe is drawn by the cosine."""
 
 VIEW_COSINES = (0.95, 0.7, 0.4, 0.15)
-FIT_SAMPLES = 1024
+FIT_SAMPLES = 256
 """Directions of each component that the variances are estimated from."""
 
 
