@@ -228,7 +228,7 @@ class Dipole:
         return unit * float(brentq(excess, 0.0, furthest))
 
 
-def rise(radius: F64, depth: float, decay: float) -> F64:
+def rise(radius: F64, depth: F64 | float, decay: float) -> F64:
     """Give ``z exp(-s z) / z - z exp(-s d) / d``, without cancellation near radius 0.
 
     That is ``exp(-s z) (1 - exp(ln(z / d) - s (d - z)))``.

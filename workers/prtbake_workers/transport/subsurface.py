@@ -1,4 +1,4 @@
-"""Subsurface scattering of diffuse transfer: a sparse matrix from the dipole, far light in clusters.
+"""Subsurface scattering of diffuse transfer: a sparse matrix of dipoles, far light in clusters.
 
 With T the diffuse transfer of the surface, so that E = pi T is its irradiance transfer, the
 radiance that leaves x after scattering inside is, averaged over the directions of leaving,
@@ -12,8 +12,9 @@ Reciprocity, visibility through the inside and the single-scattering term are no
 
 T is linear over triangles.  A cluster stands for its triangles where it is small seen from the
 source, which lies a mean free path below x: its area over ``r^2 + z_r^2`` is the solid angle of
-[Jensen2002]_.  Triangles that are not small are integrated (`hat_moments`), so that a mean free path
-below the sampling distance is no special case: T_out then tends to F R T, R the total reflectance.
+[Jensen2002]_.  It counts with R_d averaged over its triangles, to second order, times the mean of T.
+Triangles that are not small are integrated (`hat_moments`), so that a mean free path below the
+sampling distance is no special case: T_out then tends to F R T, R the total reflectance.
 """
 
 from dataclasses import asdict, dataclass
