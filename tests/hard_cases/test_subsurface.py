@@ -118,7 +118,8 @@ def test_coincident_vertices_share_their_light():
     single = SubsurfaceOperator(one, dipole).apply(lit(one)).transfer[0]
     double = SubsurfaceOperator(two, dipole).apply(lit(two)).transfer[0]
     assert np.isfinite(double).all()
-    np.testing.assert_allclose(double[: one.n_vertices], 2.0 * single, rtol=1e-3, atol=1e-6)
+    # twice the triangles are clustered otherwise, and the cut is further away
+    np.testing.assert_allclose(double[: one.n_vertices], 2.0 * single, atol=4e-4 * albedo(dipole))
     np.testing.assert_allclose(double[one.n_vertices :], double[: one.n_vertices], atol=1e-7)
 
 

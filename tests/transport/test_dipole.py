@@ -218,7 +218,7 @@ def test_millimetres_are_scaled():
 
 
 def test_an_unknown_material_is_named():
-    with pytest.raises(SettingsError, match="'jade'.*marble"):
+    with pytest.raises(SettingsError, match=r"'jade'.*marble"):
         Dipole.of_material("jade", mm_per_unit=1.0)
 
 

@@ -1,5 +1,7 @@
 """Subsurface scattering beside closed forms, 1-D quadrature and a dense double sum."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -153,8 +155,8 @@ def test_a_plane_under_even_light_is_evenly_bright():
     assert (found <= entering * outer + 3e-4 * total_albedo(dipole)).all()
     np.testing.assert_allclose(found, total_albedo(dipole), rtol=2e-3)
     assert result.report.albedo == pytest.approx(total_albedo(dipole))
-    # the sampling distance is 1/40
-    assert result.report.resolution[0] == pytest.approx(0.4, rel=1e-2)
+    # the sampling distance: 41 vertices to the side
+    assert result.report.resolution[0] == pytest.approx(0.41)
     # negative twin: vertices as points with their areas, where the path is below their distance
     distance = np.linalg.norm(scene.positions - scene.positions[row], axis=1)
     points = entering * dipole.profile(distance) @ scene.areas
@@ -169,7 +171,7 @@ def test_an_edge_of_light_is_the_line_spread(path):
     x = scene.positions[:, 0]
     transfer = np.clip(n * x, 0.0, 1.0).astype(np.float32)[:, None]
     rows = np.flatnonzero((np.abs(scene.positions[:, 2]) < 1e-9) & (np.abs(x) < 0.2))
-    operator = SubsurfaceOperator(scene, dipole)
+    operator = SubsurfaceOperator(scene, dipole, max_solid_angle=0.05)
     sources = operator.sources(transfer)
     found = np.stack([(m @ sources)[:, 0] for m in operator.block(rows).matrices])
     widest = max(dipole.depths.max(), 1e-3)
@@ -189,11 +191,11 @@ def test_an_edge_of_light_is_the_line_spread(path):
             expected = sum(
                 quad(lambda u, at=at: line(u - at) * np.clip(n * u, 0, 1), lo, hi, limit=60,
                      epsabs=1e-6, epsrel=1e-5)[0]
-                for lo, hi in zip(edges[:-1], edges[1:], strict=True)
+                for lo, hi in itertools.pairwise(edges)
             )  # fmt: skip
             expected *= dipole.entering_transmittance
-            # clusters hold T's mean, not its slope: 0.3 % of the plane's albedo
-            atol = 3e-3 * total_albedo(dipole)[channel]
+            # clusters hold T's mean, not its slope, so a step is hard on them
+            atol = 1e-3 * total_albedo(dipole)[channel]
             assert found[channel, index] == pytest.approx(expected, abs=atol)
     # light bleeds into the dark side, and only there where the path is long enough
     dark = found[0, x[rows] < -0.05]
@@ -288,5 +290,5 @@ def test_settings_and_transfer_that_do_not_fit_are_refused(ball, smooth):
         operator.apply(smooth[1:])
     broken = smooth.copy()
     broken[7, 2] = np.nan
-    with pytest.raises(SettingsError, match="coefficient 2 .* vertex 7"):
+    with pytest.raises(SettingsError, match=r"coefficient 2 .* vertex 7"):
         operator.apply(broken)

@@ -12,8 +12,8 @@ Reciprocity, visibility through the inside and the single-scattering term are no
 
 T is linear over triangles.  A cluster stands for its triangles where it is small seen from the
 source, which lies a mean free path below x: its area over ``r^2 + z_r^2`` is the solid angle of
-[Jensen2002]_.  It counts with R_d averaged over its triangles, to second order, times the mean of T.
-Triangles that are not small are integrated (`hat_moments`), so that a mean free path below the
+[Jensen2002]_.  It counts with R_d averaged over its triangles, to second order, times the mean of
+T.  Triangles that are not small are integrated (`hat_moments`), so that a mean free path below the
 sampling distance is no special case: T_out then tends to F R T, R the total reflectance.
 """
 
@@ -80,8 +80,8 @@ class SubsurfaceReport:
     mean_free_path, extent
         1 / sigma_t' and the radius in which 99 % of the reflected light leaves, in scene units.
     resolution
-        Mean free path over the sampling distance (root of a vertex's area), the median over the
-        surface.  Well below 1 light does not reach the next vertex.
+        Mean free path over the sampling distance, the root of a vertex's mean area.  Well below 1
+        light does not reach the next vertex.
     clusters, triangles
         Entries a vertex, on average.
     """
@@ -153,9 +153,9 @@ class SubsurfaceOperator:
 
     @cached_property
     def resolution(self) -> Float64[F64, " channels"]:
-        """Median mean free path over the sampling distance; infinite where nothing has an area."""
+        """Mean free path over the sampling distance; infinite where nothing has an area."""
         areas = self.scene.areas[self.scene.areas > 0.0]
-        spacing = float(np.sqrt(np.median(areas))) if len(areas) else 0.0
+        spacing = float(np.sqrt(areas.mean())) if len(areas) else 0.0
         with np.errstate(divide="ignore"):
             return np.asarray(self.dipole.mean_free_path / spacing)
 
