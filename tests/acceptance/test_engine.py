@@ -342,9 +342,8 @@ def test_a_pickle_in_place_of_a_jobs_arguments_is_not_read(lone: Fleet) -> None:
     lone.spawn()
     job = lone.ended(job_id)
     assert not trap.exists()
-    assert job.state == "failed"
-    assert job.error is not None
-    assert job.error.code == "engine"
+    # the row never ran, so the reconciler made its workflow anew, from our own record
+    assert job.state == "succeeded"
 
 
 def test_nothing_lives_on_after_the_supervisor_was_killed(lone: Fleet) -> None:
