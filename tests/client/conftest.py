@@ -1,11 +1,14 @@
 """A real service for the clients; jobs are moved by hand in place of workers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 from prtbake import Client
+from prtbake.cli.main import app
 from prtbake_service.testing import LiveService, live_service, quick_settings
 from prtbake_storage.contract.resources import EnvironmentRegistration
 
@@ -46,3 +49,14 @@ def environment(service: LiveService) -> str:
 def fit(environment: str) -> dict[str, Any]:
     """A request for a light fit."""
     return {"kind": "fit_light", "environment": environment}
+
+
+@pytest.fixture
+def run(service: LiveService) -> Callable[..., Result]:
+    """Call the command line with the service's address and key."""
+
+    def run_with(*arguments: object) -> Result:
+        target = ["--url", service.url, "--key", service.key]
+        return CliRunner().invoke(app, [*target, *map(str, arguments)])
+
+    return run_with

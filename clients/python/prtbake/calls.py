@@ -27,7 +27,6 @@ from prtbake_storage.contract.resources import (
     MeshRegistration,
     MissingResponse,
     Resource,
-    ResourcePage,
     Upload,
 )
 
@@ -192,15 +191,6 @@ def get_resource(resource_id: str, *, wait_s: float | None = None) -> Call[Resou
         _model(Resource),
         params={} if wait_s is None else {"wait": wait_s},
     )
-
-
-def list_resources(
-    kind: str, *, cursor: str | None = None, limit: int | None = None
-) -> Call[ResourcePage]:
-    """Read one page of resources, newest first."""
-    given = {"cursor": cursor, "limit": limit}
-    params = {name: value for name, value in given.items() if value is not None}
-    return Call("GET", f"/v1/{COLLECTIONS[kind]}", _model(ResourcePage), params=params)
 
 
 def read_estimate(response: httpx.Response) -> Estimate:

@@ -11,6 +11,7 @@ from prtbake_workers.brdf.base import (
     clamped_cosines,
     diffuse_plus_lobe,
     half_vector,
+    v_cavities,
 )
 
 
@@ -65,7 +66,6 @@ class AbcMicrofacet:
         cos_i, cos_o = clamped_cosines(wi, wo)
         # 1 - cos_h without cancellation
         facets = (1.0 + self.b * half.sin2_h / (1.0 + half.cos_h)) ** -self.c
-        cavity = 2.0 * half.cos_h * np.minimum(cos_i, cos_o) / np.maximum(half.cos_d, LENGTH_FLOOR)
-        lobe = facets * np.clip(cavity, 0.0, 1.0) / (np.pi * cos_i * cos_o)
+        lobe = facets * v_cavities(half, cos_i, cos_o) / (np.pi * cos_i * cos_o)
         lobe = lobe * fresnel_dielectric(half.cos_d, self.ior)
         return diffuse_plus_lobe(self.kd, self.a * lobe[..., None], above_horizon(wi, wo))

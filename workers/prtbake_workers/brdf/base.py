@@ -96,6 +96,12 @@ def clamped_cosines(
     return np.maximum(wi[..., 2], COSINE_FLOOR), np.maximum(wo[..., 2], COSINE_FLOOR)
 
 
+def v_cavities(half: HalfVector, cos_i: F64, cos_o: F64) -> F64:
+    """Shadowing and masking of V-shaped grooves, ``min(1, 2 cos_h min(cos_i, cos_o) / cos_d)``."""
+    cavity = 2.0 * half.cos_h * np.minimum(cos_i, cos_o) / np.maximum(half.cos_d, LENGTH_FLOOR)
+    return np.asarray(np.clip(cavity, 0.0, 1.0))
+
+
 def channels(*values: float | tuple[float, float, float]) -> tuple[Float64[F64, " channels"], ...]:
     """Bring reflectances to one number of channels: 3 if any of them is coloured, else 1."""
     n_channels = 3 if any(isinstance(value, tuple) for value in values) else 1

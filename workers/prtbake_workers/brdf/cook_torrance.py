@@ -7,12 +7,12 @@ import numpy as np
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.brdf.base import (
     COSINE_FLOOR,
-    LENGTH_FLOOR,
     above_horizon,
     clamped_cosines,
     diffuse_plus_lobe,
     half_vector,
     schlick,
+    v_cavities,
 )
 
 
@@ -69,8 +69,7 @@ class CookTorrance:
         """Evaluate in 1/sr; 0 below the horizon."""
         half = half_vector(wi, wo)
         cos_i, cos_o = clamped_cosines(wi, wo)
-        cavity = 2.0 * half.cos_h * np.minimum(cos_i, cos_o) / np.maximum(half.cos_d, LENGTH_FLOOR)
-        facets = beckmann(half.cos_h, half.sin2_h, self.m) * np.clip(cavity, 0.0, 1.0)
+        facets = beckmann(half.cos_h, half.sin2_h, self.m) * v_cavities(half, cos_i, cos_o)
         lobe = facets / (4.0 * cos_i * cos_o)
         specular = self.ks * schlick(self.f0, half.cos_d) * lobe[..., None]
         return diffuse_plus_lobe(self.kd, specular, above_horizon(wi, wo))

@@ -49,14 +49,6 @@ class HemisphereGrid:
         """Step in cos theta: the weight of a ring in an integral over cos theta."""
         return 1.0 / self.n_theta
 
-    @property
-    def max_order(self) -> int:
-        """The highest order that keeps both members of its pair.
-
-        Of order n_phi / 2 the grid sees the cosine only, so that no basis may use it.
-        """
-        return self.n_phi // 2 - 1
-
 
 def norm_of_order(order: Int32[I32, " n"]) -> Float64[F64, " n"]:
     """Integral of cos^2(m phi), or of 1 for m = 0, over the circle: pi, or 2 pi."""

@@ -1,0 +1,149 @@
+"""What the command line refuses, or is refused: in which words, with which exit code."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from prtbake.cli.exits import Exit
+from prtbake.cli.main import app
+from prtbake_service.testing import LiveService
+from prtbake_storage.contract.jobs import JobError
+
+Run = Callable[..., Result]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["wait", "nothing"], Exit.refused, "no job nothing"),
+        (["submit", "compress", "--transfer", "bad"], Exit.refused, "/transfer"),
+        (["submit", "bake", "--mesh", "no.obj", "--brdf", "lambert"], Exit.usage, "no.obj"),
+        (["submit", "bake", "--mesh", "builtin:cow", "--brdf", "lambert"], Exit.usage, "/name"),
+        (["submit", "bake", "--mesh", "x", "--brdf", "lambert,albedo=2"], Exit.usage, "albedo"),
+        (["submit", "bake", "--mesh", "x", "--brdf", "{"], Exit.usage, "not JSON"),
+        (
+            [
+                "submit",
+                "bake",
+                "--mesh",
+                "builtin:teapot",
+                "--brdf",
+                "lambert",
+                "--crease-angle",
+                "181",
+            ],
+            Exit.usage,
+            "/crease_angle_deg",
+        ),
+        (
+            [
+                "submit",
+                "bake",
+                "--mesh",
+                f"mesh-{16 * '0'}",
+                "--brdf",
+                "lambert",
+                "--crease-angle",
+                "9",
+            ],
+            Exit.usage,
+            "--crease-angle",
+        ),
+        (["submit", "fit-light"], Exit.usage, "--environment"),
+        (["ls", "--state", "asleep"], Exit.refused, "state"),
+    ],
+)
+def test_refusals(run: Run, arguments: list[str], code: int, said: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == code
+    assert said in result.stderr
+    assert "Traceback" not in result.output
+
+
+BAKE = ("submit", "bake", "--mesh", "builtin:teapot:3")
+SKY = ("submit", "fit-light", "--environment")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((*BAKE, "--brdf", "bogus,m=0.5"), ["bogus", "lambert", "cook_torrance", "ggx"]),
+        ((*BAKE, "--brdf", "cook_torrance,zz=7"), ["zz", "kd, ks, m, f0"]),
+        ((*BAKE, "--brdf", "lambert", "--receiver", "size=3"), ["size", "resolution, extent"]),
+        ((*BAKE, "--brdf", "lambert", "--effect", "fog=on"), ["fog", "self_shadowing"]),
+        ((*SKY, "builtin:sun_sky,hour=3"), ["hour", "width, sun_elevation_deg"]),
+        ((*SKY, "x.hdr", "--set", "lobes=3"), ["lobes", "n_lobes, max_iterations"]),
+        (("submit", "compress", "--transfer", "a/b", "--set", "rank=3"), ["rank", "n_clusters"]),
+    ],
+)
+def test_an_unknown_name_brings_the_known_ones(
+    run: Run, arguments: tuple[str, ...], said: list[str]
+) -> None:
+    result = run(*arguments)
+    assert result.exit_code == Exit.usage
+    # the message stands in a box that breaks its lines
+    told = " ".join(result.stderr.replace("│", " ").split())
+    assert all(word in told for word in said), told
+
+
+@pytest.mark.parametrize(
+    ("pair", "said"),
+    [
+        ("bake.foo=1", ["bake has no 'foo'", "cube_resolution, supersample"]),
+        ("baking.n_terms=1", ["no 'baking'", "bake, compress, fit_light, render, validation"]),
+        ("bake=1", ["bake.NAME=VALUE"]),
+    ],
+)
+def test_an_unknown_setting_of_a_stage_brings_the_known_ones(
+    run: Run, service: LiveService, environment: str, pair: str, said: list[str]
+) -> None:
+    mesh = "mesh-00000000000000aa"
+    scene = ("--mesh", mesh, "--environment", environment, "--brdf", "lambert")
+    result = run("submit", "asset", *scene, "--set", pair)
+    assert result.exit_code == Exit.usage
+    told = " ".join(result.stderr.replace("│", " ").split())
+    assert all(word in told for word in said), told
+
+
+def test_a_binary_file_goes_to_the_parser_and_its_refusal_is_told(
+    run: Run, service: LiveService, tmp_path: Path
+) -> None:
+    path = tmp_path / "some.binary"
+    path.write_bytes(b"\x89PNG\xff\xfe")
+    refusal = JobError(kind="input", code="invalid-brdf", detail="neither JSON nor a table")
+    service.answer_next("register", lambda job_id: service.fail(job_id, refusal))
+    result = run("submit", "bake", "--mesh", "mesh-0123456789abcdef", "--brdf", path)
+    assert (result.exit_code, result.exception.__class__) == (Exit.refused, SystemExit)
+    assert refusal.detail in result.stderr
+
+
+def test_a_binary_file_is_no_brdf(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "some.binary"
+    path.write_bytes(b'{"\xff\xfe')
+    result = run("submit", "bake", "--mesh", "x", "--brdf", path)
+    assert (result.exit_code, result.exception.__class__) == (Exit.usage, SystemExit)
+    assert "binary" in result.stderr
+
+
+def test_no_service() -> None:
+    result = CliRunner().invoke(app, ["--url", "http://127.0.0.1:9", "ls"])
+    assert result.exit_code == Exit.unreachable
+
+
+def test_a_fault_of_the_service_is_no_refusal(
+    run: Run, service: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def explode(*_: object, **__: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(type(service.backend.jobs), "page", explode)
+    assert run("ls").exit_code == Exit.service
+
+
+def test_a_wrong_key(service: LiveService) -> None:
+    result = CliRunner().invoke(app, ["--url", service.url, "--key", "wrong", "ls"])
+    assert result.exit_code == Exit.refused
+    assert "API key" in result.stderr
