@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/pytest
 
-.PHONY: help setup gl demo ladder test check bench serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -40,6 +40,10 @@ ladder: setup gl ## What accuracy costs: draft, medium and high beside each othe
 test: setup gl ## All tests that need nothing but the repository
 	OPENBLAS_NUM_THREADS=1 $(PYTEST) -q -n 2 --dist loadfile -m "not acceptance and not real_data"
 	$(PYTEST) -q -m "acceptance and not real_data"
+
+bunny: setup gl ## Kill a worker in the middle of the bunny's bake, on both databases (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	$(PYTEST) -q -m long
 
 check: setup ## Format, lint, types, layers
 	$(BIN)/ruff format --check .

@@ -5,7 +5,8 @@ real-data suite.  Where it is unset, the tests marked ``real_data`` are deselect
 Likewise those marked ``postgres`` where neither ``PRTBAKE_TEST_POSTGRES_URL`` nor an installed
 server gives them one, and those marked ``own_postgres`` where none is installed;
 ``PRTBAKE_REQUIRE_POSTGRES=1`` (set in CI) keeps them, so that they fail instead.
-Those marked ``mitsuba`` are deselected where Mitsuba 3 is not installed.
+Those marked ``mitsuba`` are deselected where Mitsuba 3 is not installed, those marked ``long``
+unless the command asks for them by that name.
 """
 
 import importlib.util
@@ -39,6 +40,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             lacking.append("own_postgres")
     if not has_mitsuba():
         lacking.append("mitsuba")
+    if "long" not in config.option.markexpr:
+        lacking.append("long")
     out = [item for item in items if any(item.get_closest_marker(name) for name in lacking)]
     if out:
         config.hook.pytest_deselected(items=out)

@@ -7,6 +7,7 @@ runs for ever.  Both are found by comparing the two, at start and every few seco
 
 import logging
 import threading
+from collections import Counter
 from datetime import UTC, datetime, timedelta
 
 from prtbake_storage.contract.jobs import JobError, JobState
@@ -19,9 +20,28 @@ _log = logging.getLogger(__name__)
 
 PRUNE_EVERY_S = 3600.0
 
+MOST_RENEWALS = 3
+"""Workflows of one job that may end before the job has begun; one is what a deletion cut short."""
 
-def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float = 30.0) -> int:
+
+def reconcile_once(
+    database: Database,
+    queue: JobQueue,
+    *,
+    dead_after_s: float = 30.0,
+    renewals: Counter[str] | None = None,
+) -> int:
     """Submit jobs that have no workflow and close jobs whose workflow has ended.
+
+    Parameters
+    ----------
+    database, queue
+        Our rows and the engine's workflows.
+    dead_after_s
+        Silence after which a worker counts as dead.
+    renewals
+        How often the caller has made a job's workflow anew: counted here, and a job that comes to
+        more than `MOST_RENEWALS` is closed, for it would end like the others.
 
     Returns
     -------
@@ -29,6 +49,7 @@ def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float =
         How many jobs were mended.
     """
     runs = Runs(database)
+    renewals = Counter() if renewals is None else renewals
     jobs = runs.unfinished()
     statuses = queue.statuses([job.job_id for job in jobs])
     mended = 0
@@ -38,8 +59,9 @@ def reconcile_once(database: Database, queue: JobQueue, *, dead_after_s: float =
             queue.submit(job.job_id, quick=job.quick, priority=job.priority)
             _log.info("job.resubmitted", extra={"job_id": job.job_id})
             mended += 1
-        elif job.state == JobState.queued and status in ENDED - {GIVEN_UP}:
-            # it never ran, so the workflow is that of an earlier job with this id
+        elif _never_began(job, status) and renewals[job.job_id] < MOST_RENEWALS:
+            # the workflow is that of an earlier job with this id, or could not be read
+            renewals[job.job_id] += 1
             queue.forget(job.job_id)
             queue.submit(job.job_id, quick=job.quick, priority=job.priority)
             mended += 1
@@ -70,6 +92,7 @@ class Reconciler:
         self._database, self._queue = database, queue
         self._every_s, self._dead_after_s = every_s, dead_after_s
         self._retention = timedelta(seconds=retention_s)
+        self._renewals: Counter[str] = Counter()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reconciler", daemon=True)
 
@@ -87,7 +110,12 @@ class Reconciler:
         since_prune = PRUNE_EVERY_S
         while True:
             try:
-                reconcile_once(self._database, self._queue, dead_after_s=self._dead_after_s)
+                reconcile_once(
+                    self._database,
+                    self._queue,
+                    dead_after_s=self._dead_after_s,
+                    renewals=self._renewals,
+                )
                 if since_prune >= PRUNE_EVERY_S:
                     since_prune = 0.0
                     self._queue.prune((datetime.now(UTC) - self._retention).isoformat())
@@ -96,6 +124,10 @@ class Reconciler:
             if self._stop.wait(self._every_s):
                 return
             since_prune += self._every_s
+
+
+def _never_began(job: Unfinished, status: str) -> bool:
+    return job.state == JobState.queued and status in ENDED - {GIVEN_UP}
 
 
 def _verdict(job: Unfinished, status: str) -> Stop:

@@ -4,6 +4,7 @@ import base64
 import os
 import pickle
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import sqlalchemy as sa
 import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import JobQueue, engine_url
-from prtbake_storage.queue.reconcile import reconcile_once
+from prtbake_storage.queue.reconcile import MOST_RENEWALS, reconcile_once
 from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
 from prtbake_storage.records.database import normalise_url
 
@@ -118,6 +119,23 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.prune("2000-01-01T00:00:00+00:00") == 0
     assert queue.prune("2999-01-01T00:00:00+00:00") == 1
     assert queue.statuses(["ended"]) == {}
+
+
+def test_a_workflow_that_ends_before_its_job_begins_is_made_anew_a_few_times(
+    database: Database, queue: JobQueue
+) -> None:
+    jobs, renewals = Jobs(database), Counter[str]()
+    jobs.create(NewJob(id="cursed", kind="toy", request={}))
+    queue.submit("cursed")
+    for _ in range(MOST_RENEWALS):
+        queue.cancel(["cursed"])
+        assert reconcile_once(database, queue, renewals=renewals) == 1
+        assert jobs.get("cursed").state == JobState.queued
+    queue.cancel(["cursed"])
+    assert reconcile_once(database, queue, renewals=renewals) == 1
+    job = jobs.get("cursed")
+    assert (job.state, (job.error or NO_ERROR).code) == ("failed", "engine")
+    assert reconcile_once(database, queue, renewals=renewals) == 0
 
 
 class Trap:
