@@ -13,7 +13,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
-from prtbake_workers.transport.separable_bounce import SentArray, gather_bounce
+from prtbake_workers.transport.separable_bounce import BounceGather
 from prtbake_workers.transport.surface import OpaqueSurface
 from support.bounce_scenes import ball, patch
 
@@ -45,15 +45,15 @@ def glossy():
 
 def transfers(rng, scene, factorisations, channels=1):
     return [
-        rng.standard_normal((stop - start, own.n_terms, channels, N_COEFFS)).astype(np.float32)
+        rng.standard_normal((stop - start, channels, own.n_terms, N_COEFFS)).astype(np.float32)
         for (start, stop), own in zip(scene.part_ranges, factorisations, strict=True)
     ]
 
 
-def gather(scene, accelerator, part, span, factorisations, albedo, sent):
-    return gather_bounce(
-        scene, accelerator, part, span, factorisations=factorisations, albedo=albedo,
-        sent=[SentArray(one) for one in sent], n_rays=N_RAYS, seed=SEED,
+def prepared(scene, accelerator, part, span, factorisations, albedo, channels=1, n_rays=N_RAYS):
+    return BounceGather(
+        OpaqueSurface(scene, accelerator), part, np.arange(*span), factorisations=factorisations,
+        albedo=albedo, n_channels=channels, n_rays=n_rays, seed=SEED,
     )  # fmt: skip
 
 
@@ -71,15 +71,15 @@ def test_diffuse_parts_bounce_as_the_sparse_operator_does(
         n_rays=N_RAYS,
         seed=SEED,
     )
-    stacked = np.concatenate(sent)[:, 0]
+    stacked = np.concatenate(sent)[:, :, 0]
     for part, (start, stop) in enumerate(scene.part_ranges):
-        found = gather(scene, accelerator, part, (start, stop), [diffuse] * 2, albedo, sent)
+        found = prepared(
+            scene, accelerator, part, (start, stop), [diffuse] * 2, albedo, channels
+        ).apply(sent)
         for channel in range(channels):
             expected = block.matrices[channel] @ stacked[:, channel]
             # float32 sums over at most 64 rays x 3 corners, in another order
-            np.testing.assert_allclose(
-                found.transfer[:, 0, channel], expected[start:stop], atol=2e-5
-            )
+            np.testing.assert_allclose(found[:, channel, 0], expected[start:stop], atol=2e-5)
     assert np.abs(block.matrices[0] @ stacked[:, 0]).max() > 0.1
 
 
@@ -112,7 +112,7 @@ def slow_twin(scene, accelerator, part, vertex, factorisations, values, sent):
                 phi = factorisations[other].eval_phi((scene.frames[corner] @ towards)[None])[
                     0, :, 0
                 ]
-            own = sent[other][corner - scene.part_ranges[other][0], :, 0].astype(np.float64)
+            own = sent[other][corner - scene.part_ranges[other][0], 0].astype(np.float64)
             radiance += share * (phi @ own)
         radiance *= (weight / weight.sum()) @ values[corners, 0]
         total += np.outer(factorisations[part].eval_psi(local[i : i + 1])[0], radiance)
@@ -127,11 +127,13 @@ def test_glossy_parts_bounce_as_the_slow_twin_does(rng, scene, accelerator, diff
     sent = transfers(rng, scene, factorisations)
     checked = 0
     for part, (start, stop) in enumerate(scene.part_ranges):
-        found = gather(scene, accelerator, part, (start, stop), factorisations, albedo, sent)
+        found = prepared(scene, accelerator, part, (start, stop), factorisations, albedo).apply(
+            sent
+        )
         for vertex in range(start, stop, 7):
             expected = slow_twin(scene, accelerator, part, vertex, factorisations, values, sent)
             np.testing.assert_allclose(
-                found.transfer[vertex - start, :, 0],
+                found[vertex - start, 0],
                 expected,
                 atol=1e-4 * max(1.0, np.abs(expected).max()),
             )
@@ -144,13 +146,17 @@ def test_the_result_does_not_depend_on_the_block(rng, scene, accelerator, diffus
     factorisations = [glossy, diffuse]
     albedo = Albedo.constant(0.5)
     sent = transfers(rng, scene, factorisations)
-    whole = gather(scene, accelerator, 0, (0, 40), factorisations, albedo, sent)
-    halves = [
-        gather(scene, accelerator, 0, span, factorisations, albedo, sent)
-        for span in ((0, 13), (13, 40))
-    ]
-    np.testing.assert_array_equal(whole.transfer, np.concatenate([h.transfer for h in halves]))
+    whole, *halves = (
+        prepared(scene, accelerator, 0, span, factorisations, albedo)
+        for span in ((0, 40), (0, 13), (13, 40))
+    )
+    np.testing.assert_array_equal(
+        whole.apply(sent), np.concatenate([half.apply(sent) for half in halves])
+    )
     assert whole.n_rays == sum(half.n_rays for half in halves)
+    # nor on which coefficients are carried together: they do not mix
+    columns = [whole.apply([one[..., part] for one in sent]) for part in (slice(9), slice(9, None))]
+    np.testing.assert_allclose(np.concatenate(columns, axis=3), whole.apply(sent), atol=1e-5)
 
 
 def test_turning_the_frames_turns_the_terms_and_nothing_else(rng, accelerator, diffuse, glossy):
@@ -161,11 +167,11 @@ def test_turning_the_frames_turns_the_terms_and_nothing_else(rng, accelerator, d
         turned = Scene.from_parts([ball(2, centre=(0.0, 1.1, 0.0)), floor], frame_seed=frame_seed)
         sent = transfers(np.random.default_rng(1), turned, [glossy, diffuse])
         sent[0][:] = 0.0
-        found = gather_bounce(
-            turned, accelerator, 0, turned.part_ranges[0], factorisations=[glossy, diffuse],
-            albedo=Albedo.constant(0.5), sent=[SentArray(one) for one in sent], n_rays=4096, seed=SEED,
-        )  # fmt: skip
-        energies.append((found.transfer.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
+        found = prepared(
+            turned, accelerator, 0, turned.part_ranges[0], [glossy, diffuse],
+            Albedo.constant(0.5), n_rays=4096,
+        ).apply(sent)  # fmt: skip
+        energies.append((found.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
     lit = energies[0] > 1e-3 * energies[0].max()
     # other rays in other frames: what 4,096 of them leave to chance
     np.testing.assert_allclose(energies[1][lit], energies[0][lit], rtol=0.05)
@@ -173,15 +179,19 @@ def test_turning_the_frames_turns_the_terms_and_nothing_else(rng, accelerator, d
 
 def test_black_surfaces_send_nothing_and_no_ray_is_traced(rng, scene, accelerator, diffuse):
     sent = transfers(rng, scene, [diffuse, diffuse])
-    found = gather(scene, accelerator, 0, (0, 10), [diffuse] * 2, Albedo.constant(0.0), sent)
+    black = Albedo.constant(0.0)
+    found = prepared(scene, accelerator, 0, (0, 10), [diffuse] * 2, black)
     assert found.n_rays == 0
-    assert not found.transfer.any()
+    assert not found.apply(sent).any()
 
 
 def test_what_does_not_fit_is_refused(rng, scene, accelerator, diffuse):
+    grey, red = Albedo.constant(0.5), Albedo.constant(0.5, 0.1, 0.1)
+    with pytest.raises(SettingsError, match="vertex 0 is outside part 1"):
+        prepared(scene, accelerator, 1, (0, 10), [diffuse] * 2, grey)
+    with pytest.raises(SettingsError, match="surfaces have 3 channels, the transfer has 1"):
+        prepared(scene, accelerator, 0, (0, 10), [diffuse] * 2, red)
     sent = transfers(rng, scene, [diffuse, diffuse])
-    with pytest.raises(SettingsError, match="outside part 1"):
-        gather(scene, accelerator, 1, (0, 10), [diffuse] * 2, Albedo.constant(0.5), sent)
-    coloured = [sent[0], np.repeat(sent[1], 3, axis=2)]
+    coloured = [sent[0], np.repeat(sent[1], 3, axis=1)]
     with pytest.raises(SettingsError, match="channels"):
-        gather(scene, accelerator, 0, (0, 10), [diffuse] * 2, Albedo.constant(0.5), coloured)
+        prepared(scene, accelerator, 0, (0, 10), [diffuse] * 2, grey).apply(coloured)

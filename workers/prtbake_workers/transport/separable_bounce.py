@@ -12,9 +12,9 @@ Each corner evaluates phi in its own frame, as the decoder does.  For diffuse pa
 product of `bounce_operator`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -22,67 +22,160 @@ from scipy.sparse import coo_array
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
 from prtbake_workers.transport.surface import OpaqueSurface, above_horizon
 
-COEFFS_PER_PRODUCT = 64
-"""Coefficients carried at a time: they do not mix, and a block of all vertices stays small."""
-
-
-@runtime_checkable
-class Sent(Protocol):
-    """Transfer of all vertices of one part, read a block of coefficients at a time."""
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """Vertices, terms, channels, coefficients."""
-        ...
-
-    def columns(self, start: int, stop: int) -> Float32[F32, "verts terms channels block"]:
-        """Return the coefficients start..stop."""
-        ...
+VERTICES_PER_PRODUCT = 2048
+"""Vertices whose rays are carried at a time: 34 MB at 64 rays and 64 coefficients."""
 
 
 @dataclass(frozen=True)
-class SentArray:
-    """Transfer that lies in memory."""
+class _Product:
+    """The rays of a few vertices: (pi / N) psi of each, and the rows that make its radiance.
 
-    transfer: Float32[F32, "verts terms channels coeffs"]
+    ``rows`` counts among the gather's vertices; ``sending`` holds for every part one matrix
+    (rays, verts x terms) a channel, or None where no ray meets the part.
+    """
 
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """Vertices, terms, channels, coefficients."""
-        verts, terms, channels, coeffs = self.transfer.shape
-        return verts, terms, channels, coeffs
-
-    def columns(self, start: int, stop: int) -> Float32[F32, "verts terms channels block"]:
-        """Return the coefficients start..stop."""
-        return np.ascontiguousarray(self.transfer[..., start:stop])
+    rows: Int64[I64, " verts"]
+    weighted: Float32[F32, "verts terms rays"]
+    sending: tuple[tuple[Any, ...] | None, ...]
 
 
-@dataclass(frozen=True)
-class GatheredBounce:
-    """What one bounce brings to a block of vertices.
+class BounceGather:
+    """One bounce to some vertices of a part: rays cast once, for any coefficients and bounce.
+
+    Parameters
+    ----------
+    surface
+        All parts; they have one side.
+    part, vertices
+        The part that receives, and which of its vertices, in scene numbering.
+    factorisations
+        BRDF of each part.
+    albedo
+        What multiplies the radiance that each point of the surface sends; 1 where the BRDF's
+        phi holds everything.
+    n_channels
+        Of the transfer: 1, or 3 where surfaces are coloured.
+    n_rays
+        N rays a vertex, the same in every bounce.
+    seed
+        Of the shift of every vertex's rays, whichever vertices are asked for beside it.
 
     Attributes
     ----------
-    transfer
-        Whitened coefficients; its channels are those of what was sent.
     n_rays, n_hits, n_back_hits
         Rays traced, those that hit anything, those of them that met a back, which sends nothing.
+
+    Raises
+    ------
+    SettingsError
+        Vertices outside the part, no rays, or one channel for coloured surfaces.
+
+    Notes
+    -----
+    Memory: for every vertex that sees a surface 4 bytes x terms a ray, and 8 bytes x 3 terms a hit
+    and channel.
     """
 
-    transfer: Float32[F32, "verts terms channels coeffs"]
-    n_rays: int
-    n_hits: int
-    n_back_hits: int
+    def __init__(
+        self,
+        surface: OpaqueSurface,
+        part: int,
+        vertices: Int64[I64, " verts"],
+        *,
+        factorisations: Sequence[Factorisation],
+        albedo: Albedo,
+        n_channels: int,
+        n_rays: int,
+        seed: int,
+    ) -> None:
+        scene = surface.scene
+        first, last = scene.part_ranges[part]
+        outside = vertices[(vertices < first) | (vertices >= last)]
+        if len(outside):
+            raise SettingsError(f"vertex {outside[0]} is outside part {part}: {first}..{last}")
+        if n_rays < 1:
+            raise SettingsError(f"n_rays must be at least 1, not {n_rays}")
+        needed = max(albedo.n_channels, *(own.n_channels for own in factorisations))
+        if n_channels not in (1, 3) or n_channels < needed:
+            raise SettingsError(f"surfaces have {needed} channels, the transfer has {n_channels}")
+        self.n_vertices, self.n_channels = len(vertices), n_channels
+        self.n_terms = factorisations[part].n_terms
+        self.n_rays = self.n_hits = self.n_back_hits = 0
+        self._products: list[_Product] = []
+        if albedo.is_black:
+            return
+        shift, pattern = shifts(seed, first, last, 2), lattice(n_rays)
+        lengths = np.linalg.norm(scene.normals[vertices], axis=1)
+        usable = np.flatnonzero(np.abs(lengths - 1.0) < 1e-3)
+        for start in range(0, len(usable), VERTICES_PER_PRODUCT):
+            rows = usable[start : start + VERTICES_PER_PRODUCT]
+            local = cosine_directions(shifted(pattern, shift[vertices[rows] - first]))
+            rays = _cast(surface, vertices[rows], local)
+            self.n_rays += rays.n_rays
+            self.n_hits += rays.n_hits
+            self.n_back_hits += rays.n_hits - len(rays.index)
+            # a vertex that sees nothing but the sky needs no product
+            seeing, place = np.unique(rays.index // n_rays, return_inverse=True)
+            if len(seeing) == 0:
+                continue
+            index = place * n_rays + rays.index % n_rays
+            psi = factorisations[part].eval_psi(local[seeing].reshape(-1, 3))
+            psi = psi.reshape(len(seeing), n_rays, -1).transpose(0, 2, 1)
+            shape = (len(seeing) * n_rays, n_channels)
+            self._products.append(
+                _Product(
+                    rows=rows[seeing],
+                    weighted=np.ascontiguousarray(np.pi / n_rays * psi, np.float32),
+                    sending=tuple(
+                        _sending_rows(scene, number, own, albedo, rays, index, shape)
+                        for number, own in enumerate(factorisations)
+                    ),
+                )
+            )
+
+    def apply(
+        self, sent: Sequence[Float32[F32, "_ channels _ coeffs"]]
+    ) -> Float32[F32, "verts channels terms coeffs"]:
+        """Gather what all parts send: one array a part, of all of its vertices and terms.
+
+        Returns
+        -------
+        ndarray
+            Vertices without a usable normal receive nothing.
+
+        Raises
+        ------
+        SettingsError
+            A part sends other channels or coefficients than the first, or than was said.
+        """
+        n_coeffs = sent[0].shape[3]
+        if any(one.shape[1] != self.n_channels or one.shape[3] != n_coeffs for one in sent):
+            raise SettingsError(
+                f"{self.n_channels} channels are expected alike from every part, not "
+                f"{[one.shape for one in sent]}"
+            )
+        shape = (self.n_vertices, self.n_channels, self.n_terms, n_coeffs)
+        result = np.zeros(shape, np.float32)
+        for channel in range(self.n_channels):
+            flat = [one[:, channel].reshape(-1, n_coeffs) for one in sent]
+            for product in self._products:
+                n_verts, _, n_rays = product.weighted.shape
+                radiance = np.zeros((n_verts * n_rays, n_coeffs), np.float32)
+                for matrices, one in zip(product.sending, flat, strict=True):
+                    if matrices is not None:
+                        radiance += matrices[channel] @ one
+                arriving = radiance.reshape(n_verts, n_rays, n_coeffs)
+                result[product.rows, channel] = product.weighted @ arriving
+        return result
 
     def counters(self) -> dict[str, int]:
-        """Give what a report adds up over blocks."""
+        """Give what a report adds up over tasks."""
         return {
             "bounce_rays": self.n_rays,
             "bounce_hits": self.n_hits,
@@ -90,98 +183,9 @@ class GatheredBounce:
         }
 
 
-def gather_bounce(
-    scene: Scene,
-    accelerator: Accelerator,
-    part: int,
-    vertex_range: tuple[int, int],
-    *,
-    factorisations: Sequence[Factorisation],
-    albedo: Albedo,
-    sent: Sequence[Sent],
-    n_rays: int,
-    seed: int,
-) -> GatheredBounce:
-    """Gather what all parts send to a block of vertices.
-
-    Parameters
-    ----------
-    scene, accelerator
-        All parts, and all of their triangles in order; surfaces have one side.
-    part, vertex_range
-        The part that receives, and first and one past the last of its vertices, in scene numbering.
-    factorisations, sent
-        BRDF and transfer of each part; transfers have one channel, or three, all alike.
-    albedo
-        What multiplies the radiance that each point of the surface sends; 1 where the BRDF's
-        phi holds everything.  Its channels must be those of what is sent.
-    n_rays
-        N rays a vertex, the same in every bounce.
-    seed
-        Of the shift of every vertex's rays, whatever the block.
-
-    Returns
-    -------
-    GatheredBounce
-        Vertices without a usable normal receive nothing.
-
-    Raises
-    ------
-    SettingsError
-        A range outside the part, no rays, or channels that do not fit.
-
-    Notes
-    -----
-    Memory: the rays of the block with the corners' phi (12 bytes x 3 terms a hit), and
-    `COEFFS_PER_PRODUCT` coefficients of all vertices.
-    """
-    start, stop = vertex_range
-    first, last = scene.part_ranges[part]
-    if not first <= start <= stop <= last:
-        raise SettingsError(f"vertex range {start}..{stop} is outside part {part}: {first}..{last}")
-    if n_rays < 1:
-        raise SettingsError(f"n_rays must be at least 1, not {n_rays}")
-    _, _, n_channels, n_coeffs = sent[0].shape
-    if any(one.shape[2:] != (n_channels, n_coeffs) for one in sent):
-        raise SettingsError(f"parts send other channels or coefficients: {[s.shape for s in sent]}")
-    if n_channels not in (1, albedo.n_channels):
-        raise SettingsError(f"{n_channels} channels are sent, the albedo has {albedo.n_channels}")
-    own = factorisations[part]
-    n_verts = stop - start
-    result = np.zeros((n_verts, own.n_terms, n_channels, n_coeffs), np.float32)
-    normals = scene.normals[start:stop]
-    usable = np.flatnonzero(np.abs(np.linalg.norm(normals, axis=1) - 1.0) < 1e-3)
-    if albedo.is_black or not len(usable):
-        return GatheredBounce(result, 0, 0, 0)
-    local = cosine_directions(shifted(lattice(n_rays), shifts(seed, start, stop, 2)[usable]))
-    world = (local @ scene.frames[start + usable]).astype(np.float32)
-    rays = _cast(scene, accelerator, start + usable, world)
-    psi = own.eval_psi(local.reshape(-1, 3)).reshape(len(usable), n_rays, own.n_terms)
-    weighted = (np.pi / n_rays * psi).transpose(0, 2, 1).astype(np.float32)
-    rows = [
-        _sending_rows(scene, index, factorisations[index], albedo, rays, n_channels)
-        for index in range(len(sent))
-    ]
-    for block in _blocks(n_coeffs):
-        radiance = np.zeros(
-            (n_channels, len(usable) * n_rays, block.stop - block.start), np.float32
-        )
-        for one, matrices in zip(sent, rows, strict=True):
-            if matrices is None:
-                continue
-            columns = one.columns(block.start, block.stop)
-            for channel, matrix in enumerate(matrices):
-                flat = columns[:, :, channel].reshape(-1, columns.shape[3])
-                radiance[channel] += matrix @ flat
-        for channel in range(n_channels):
-            arriving = radiance[channel].reshape(len(usable), n_rays, -1)
-            result[usable, :, channel, block] = weighted @ arriving
-    return GatheredBounce(result, rays.n_rays, rays.n_hits, rays.n_hits - len(rays.index))
-
-
 @dataclass(frozen=True)
 class _Rays:
-    """The rays that met a front: their number in the block, and what they met."""
+    """The rays that met a front: their number among all, and what they met."""
 
     index: Int64[I64, " hits"]
     triangles: Int64[I64, " hits"]
@@ -192,12 +196,10 @@ class _Rays:
 
 
 def _cast(
-    scene: Scene,
-    accelerator: Accelerator,
-    vertices: Int64[I64, " verts"],
-    directions: Float32[F32, "verts rays 3"],
+    surface: OpaqueSurface, vertices: Int64[I64, " verts"], local: Float64[F64, "verts rays 3"]
 ) -> _Rays:
-    surface = OpaqueSurface(scene, accelerator)
+    scene = surface.scene
+    directions = (local @ scene.frames[vertices]).astype(np.float32)
     origins = offset_origins(scene.ray_points[vertices], scene.ray_sides[vertices], surface.epsilon)
     flat = np.ascontiguousarray(directions.reshape(-1, 3))
     hits = surface.intersect(np.repeat(origins, directions.shape[1], axis=0), flat)
@@ -218,9 +220,13 @@ def _sending_rows(
     factorisation: Factorisation,
     albedo: Albedo,
     rays: _Rays,
-    n_channels: int,
+    index: Int64[I64, " hits"],
+    shape: tuple[int, int],
 ) -> tuple[Any, ...] | None:
-    """Return for each channel the matrix (rays, verts x terms) from transfer to radiance."""
+    """Return for each channel the matrix (rays, verts x terms) from transfer to radiance.
+
+    ``index`` numbers the hits' rays among those kept; ``shape`` counts these and the channels.
+    """
     which = np.flatnonzero(scene.part_of_face[rays.triangles] == part)
     if not len(which):
         return None
@@ -231,15 +237,17 @@ def _sending_rows(
     reflected = albedo.checked_at(triangles, weights)
     n_terms = factorisation.n_terms
     columns = (corners - start)[:, :, None] * n_terms + np.arange(n_terms)
-    at = (np.repeat(rays.index[which], 3 * n_terms), columns.ravel())
-    shape = (rays.n_rays, (stop - start) * n_terms)
+    at = (np.repeat(index[which], 3 * n_terms), columns.ravel())
 
     def channel(c: int) -> Any:
         tint = reflected[:, min(c, reflected.shape[1] - 1)]
         values = phi[..., min(c, phi.shape[3] - 1)] * (weights * tint[:, None])[:, :, None]
-        return coo_array((values.astype(np.float32).ravel(), at), shape=shape).tocsr()
+        matrix = coo_array(
+            (values.astype(np.float32).ravel(), at), shape=(shape[0], (stop - start) * n_terms)
+        )
+        return matrix.tocsr()
 
-    return tuple(channel(c) for c in range(n_channels))
+    return tuple(channel(c) for c in range(shape[1]))
 
 
 def _corner_phi(
@@ -254,8 +262,3 @@ def _corner_phi(
     towards = np.einsum("nij,nj->ni", scene.frames[vertices], lifted)
     phi = factorisation.eval_phi(towards)
     return np.asarray(phi.reshape(len(corners), 3, *phi.shape[1:]))
-
-
-def _blocks(n_coeffs: int) -> Iterator[slice]:
-    for start in range(0, n_coeffs, COEFFS_PER_PRODUCT):
-        yield slice(start, min(start + COEFFS_PER_PRODUCT, n_coeffs))

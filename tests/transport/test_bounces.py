@@ -1,0 +1,157 @@
+"""All bounces of a block of coefficients against the series of the sparse operator."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.lambert import Lambert
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.bounce_operator import build_bounce_block
+from prtbake_workers.transport.bounces import bounce_block
+from prtbake_workers.transport.interreflection import bounce_series
+from support.bounce_scenes import ball, bowl, opaque
+
+N_RAYS, SEED, N_COEFFS = 64, 3, 20
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """A ball in a bowl."""
+    return opaque(Scene.from_parts([ball(1, centre=(0.0, -0.6, 0.0), radius=0.3), bowl(8, 16)]))
+
+
+@pytest.fixture(scope="module")
+def diffuse():
+    return factorise(Lambert(np.array([1.0])))
+
+
+def positive(scene, factorisations):
+    """Transfer as it comes: no coefficient negative, so that bounces do not cancel."""
+    rng = np.random.default_rng(7)
+    return [
+        rng.random((stop - start, own.n_terms, N_COEFFS)).astype(np.float32)
+        for (start, stop), own in zip(scene.part_ranges, factorisations, strict=True)
+    ]
+
+
+def bounced(surface, direct, factorisations, albedo, **changes):
+    settings = {"max_bounces": 30, "tolerance": 1e-6, "n_channels": albedo.n_channels} | changes
+    return bounce_block(
+        surface, direct, factorisations=factorisations, albedo=albedo, n_rays=N_RAYS, seed=SEED,
+        **settings,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("colour", [(0.6,), (0.8, 0.4, 0.1)])
+def test_diffuse_bounces_are_the_series_of_the_sparse_operator(surface, diffuse, colour):
+    scene, albedo = surface.scene, Albedo.constant(*colour)
+    direct = positive(scene, [diffuse] * 2)
+    found = bounced(surface, direct, [diffuse] * 2, albedo)
+    operator = build_bounce_block(
+        surface, (0, scene.n_vertices), albedo=albedo, n_rays=N_RAYS, seed=SEED
+    )
+    whole = np.concatenate(direct)[:, 0]
+    series = bounce_series(
+        whole, operator.matrices, areas=scene.areas, tolerance=1e-6, max_bounces=30
+    )
+    expected = (series.transfer - whole).transpose(1, 0, 2)
+    # float32 sums in another order, over up to 30 bounces
+    np.testing.assert_allclose(
+        np.concatenate(found.added)[:, :, 0], expected, atol=2e-5 * expected.max()
+    )
+    assert expected.max() > 0.1
+    shares = np.array(found.bounce_energies) / found.total_energy
+    assert len(shares) == series.report.n_bounces
+    assert shares[-1] <= 1e-6 < shares[-2]
+    assert found.is_bound
+    assert series.report.remainder is not None
+    assert found.remainder_energy / found.total_energy <= series.report.remainder * 1.001
+
+
+def test_the_bound_holds_what_is_left_out(surface, diffuse):
+    albedo, direct = Albedo.constant(0.7), positive(surface.scene, [diffuse] * 2)
+    full = bounced(surface, direct, [diffuse] * 2, albedo, tolerance=1e-12, max_bounces=60)
+    for n in (1, 2, 4):
+        cut = bounced(surface, direct, [diffuse] * 2, albedo, tolerance=0.0, max_bounces=n)
+        assert len(cut.bounce_energies) == n
+        missing = sum(
+            float(surface.scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
+            for (start, stop), a, b in zip(
+                surface.scene.part_ranges, full.added, cut.added, strict=True
+            )
+        )
+        assert 0.2 * cut.remainder_energy < missing <= 1.001 * cut.remainder_energy
+
+
+def test_the_estimate_for_glossy_parts_is_of_the_right_size(surface, diffuse):
+    brdf = CookTorrance(np.array([0.3]), np.array([0.6]), 0.4, np.array([0.2]))
+    glossy = factorise(brdf, n_terms=5, n_theta=12, n_phi=32)
+    parts = [glossy, diffuse]
+    # light of one direction a coefficient, so that the terms are those of a real surface
+    scene = surface.scene
+    towards = np.random.default_rng(1).normal(size=(N_COEFFS, 3))
+    towards[:, 1] = np.abs(towards[:, 1])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    direct = []
+    for (start, stop), own in zip(scene.part_ranges, parts, strict=True):
+        local = np.einsum("vij,cj->vci", scene.frames[start:stop], towards)
+        psi = own.eval_psi(local.reshape(-1, 3)).reshape(*local.shape[:2], -1)
+        direct.append((psi * np.maximum(local[..., 2:], 0.0)).transpose(0, 2, 1).astype(np.float32))
+    albedo = Albedo.of_vertices(
+        scene.faces,
+        np.where(np.arange(scene.n_vertices) < scene.part_ranges[1][0], 1.0, 0.6)[:, None],
+    )
+    full = bounced(surface, direct, parts, albedo, tolerance=1e-12, max_bounces=40)
+    cut = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=3)
+    missing = sum(
+        float(scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
+        for (start, stop), a, b in zip(scene.part_ranges, full.added, cut.added, strict=True)
+    )
+    assert not cut.is_bound
+    assert 0.5 * missing < cut.remainder_energy < 2.0 * missing
+    # the noise of 64 rays against the same bounce from sixteen times as many
+    one = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=1)
+    many = bounce_block(
+        surface, direct, factorisations=parts, albedo=albedo, n_channels=1, n_rays=1024, seed=99,
+        max_bounces=1, tolerance=0.0,
+    )  # fmt: skip
+    error = sum(
+        float(scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
+        for (start, stop), a, b in zip(scene.part_ranges, one.added, many.added, strict=True)
+    )
+    # of 128 vertices a part, and stratified rays gain more than the square root
+    assert 0.5 * error < one.noise_energy < 2.0 * error
+    assert many.noise_energy < 0.2 * one.noise_energy
+
+
+def test_a_closed_white_room_has_no_bound(diffuse):
+    """A furnace whose light never gets out: no power of F takes any of it away."""
+    room = opaque(Scene.from_parts([ball(2, inward=True)]))
+    direct = [np.ones((room.scene.n_vertices, 1, 2), np.float32)]
+    found = bounced(room, direct, [diffuse], Albedo.constant(1.0), max_bounces=4)
+    assert found.remainder_energy is None
+    grey = bounced(room, direct, [diffuse], Albedo.constant(0.5), max_bounces=4)
+    # from radiance 1 everywhere each bounce is half of the one before: 1/16 is left after four
+    expected = room.scene.areas.sum() * 2 / 16**2
+    np.testing.assert_allclose(grey.remainder_energy, expected, rtol=1e-3)
+
+
+def test_black_surfaces_and_open_ones_add_nothing(diffuse):
+    alone = opaque(Scene.from_parts([ball(1)]))
+    direct = positive(alone.scene, [diffuse])
+    for albedo in (Albedo.constant(0.0), Albedo.constant(0.9)):
+        found = bounced(alone, direct, [diffuse], albedo)
+        assert found.bounce_energies == (0.0,)
+        assert (found.remainder_energy, found.noise_energy) == (0.0, 0.0)
+        assert not found.added[0].any()
+
+
+def test_what_does_not_fit_is_refused(surface, diffuse):
+    direct = positive(surface.scene, [diffuse] * 2)
+    with pytest.raises(SettingsError, match="max_bounces"):
+        bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), max_bounces=0)
+    with pytest.raises(SettingsError, match="tolerance"):
+        bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), tolerance=-1.0)

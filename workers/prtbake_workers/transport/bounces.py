@@ -1,0 +1,227 @@
+"""All bounces of some coefficients of a scene's transfer: coefficients do not mix, so any will do.
+
+With F one bounce (`separable_bounce`) and T0 the direct transfer, bounce k adds
+``D_k = F D_(k-1)``, ``D_0 = T0``.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.separable_bounce import BounceGather
+from prtbake_workers.transport.surface import OpaqueSurface
+
+NOISE_VERTICES = 128
+"""Of each part, whose first bounce is gathered twice more to tell what the number of rays costs."""
+
+MAX_POWERS = 64
+"""Further bounces of the scalar majorant that are summed for the bound."""
+
+TAIL_SHARE = 1e-3
+"""The majorant is summed until its last term is below this share of it."""
+
+
+@dataclass(frozen=True)
+class BouncedBlock:
+    """What the bounces added to a block of coefficients.
+
+    Energies are squared radiance norms of these coefficients, area-weighted over all parts and
+    summed over channels: they add up over blocks.
+
+    Attributes
+    ----------
+    added
+        The sum of all bounces, one array a part.
+    direct_energy, total_energy
+        Of the direct transfer, counted once a channel, and of its sum with the bounces.
+    bounce_energies
+        Of each bounce by itself.
+    remainder_energy
+        Of everything after the last bounce: an upper bound where ``is_bound``, under F as it was
+        traced, else an estimate from the last two bounces.  None where bounces do not fade.
+    noise_energy
+        Expected squared error of the first bounce, from its rays being few.
+    counters
+        Rays, hits and hits on backs.
+    """
+
+    added: tuple[Float32[F32, "_ channels _ coeffs"], ...]
+    direct_energy: float
+    total_energy: float
+    bounce_energies: tuple[float, ...]
+    remainder_energy: float | None
+    is_bound: bool
+    noise_energy: float
+    counters: dict[str, int]
+
+
+def bounce_block(
+    surface: OpaqueSurface,
+    direct: Sequence[Float32[F32, "_ _ coeffs"]],
+    *,
+    factorisations: Sequence[Factorisation],
+    albedo: Albedo,
+    n_channels: int,
+    n_rays: int,
+    seed: int,
+    max_bounces: int,
+    tolerance: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> BouncedBlock:
+    """Sum the bounces of some coefficients.
+
+    Parameters
+    ----------
+    surface
+        All parts.
+    direct
+        T0 of every part, (verts, terms, coeffs), whitened, the same for all channels.
+    factorisations, albedo, n_channels, n_rays, seed
+        As `BounceGather` takes them.
+    max_bounces
+        At most so many, at least one.
+    tolerance
+        Squared-error ratio: bounces stop after the first whose energy, over that of the sum, is
+        not above it.  Where every block of coefficients keeps it, so does their whole.
+    progress
+        Called with bounces done and at most to do.
+
+    Returns
+    -------
+    BouncedBlock
+        The same bytes for the same arguments on one BLAS thread.
+
+    Raises
+    ------
+    SettingsError
+        No bounce is asked for, a negative tolerance, or what `BounceGather` refuses.
+
+    Notes
+    -----
+    The bound holds where all parts are diffuse.  With d_p the norm of row p of the last bounce, the
+    norm of row p of what follows is at most ``sum over j >= 1 of (F^j d)_p``, since F is not
+    negative (see `interreflection.bounce_series`); the sum is cut where its terms have sunk to
+    `TAIL_SHARE` and its tail is added as a geometric series of its last ratio.
+
+    Memory: the rays (see `BounceGather`), and the block three times a channel.
+    """
+    if max_bounces < 1:
+        raise SettingsError(f"max_bounces must be at least 1, got {max_bounces}")
+    if not tolerance >= 0.0:
+        raise SettingsError(f"tolerance must not be negative, got {tolerance}")
+    scene = surface.scene
+    gather_to = partial(
+        BounceGather,
+        surface,
+        factorisations=factorisations,
+        albedo=albedo,
+        n_channels=n_channels,
+        n_rays=n_rays,
+    )
+    gathers = [
+        gather_to(part, np.arange(start, stop), seed=seed)
+        for part, (start, stop) in enumerate(scene.part_ranges)
+    ]
+    sent = [np.repeat(one[:, None], n_channels, axis=1) for one in direct]
+    totals = [one.copy() for one in sent]
+    direct_energy = total = _energy(scene, sent)
+    noise = _noise(scene, sent, gather_to, seed)
+    energies: list[float] = []
+    while len(energies) < max_bounces and total > 0.0:
+        sent = [gather.apply(sent) for gather in gathers]
+        for whole, one in zip(totals, sent, strict=True):
+            whole += one
+        energies.append(_energy(scene, sent))
+        total = _energy(scene, totals)
+        if progress is not None:
+            progress(len(energies), max_bounces)
+        if energies[-1] <= tolerance * total:
+            break
+    is_bound = all(own.is_constant_phi for own in factorisations)
+    remainder = (
+        _majorant(scene, gathers, sent) if is_bound else _geometric([direct_energy, *energies])
+    )
+    for whole, one in zip(totals, direct, strict=True):
+        whole -= one[:, None]
+    return BouncedBlock(
+        added=tuple(totals),
+        direct_energy=direct_energy,
+        total_energy=total,
+        bounce_energies=tuple(energies),
+        remainder_energy=remainder,
+        is_bound=is_bound,
+        noise_energy=noise,
+        counters={
+            name: sum(gather.counters()[name] for gather in gathers)
+            for name in gathers[0].counters()
+        },
+    )
+
+
+def _energy(scene: Scene, transfers: Sequence[Float32[F32, "_ channels _ coeffs"]]) -> float:
+    return sum(
+        float(scene.areas[start:stop] @ (_norms(one) ** 2).sum(axis=1))
+        for (start, stop), one in zip(scene.part_ranges, transfers, strict=True)
+    )
+
+
+def _norms(one: Float32[F32, "verts channels terms coeffs"]) -> Float64[F64, "verts channels"]:
+    """Norms of every vertex and channel: rows in float32, their sums in float64."""
+    rows = one.reshape(len(one), one.shape[1], -1)
+    return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
+
+
+def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]) -> float | None:
+    """Bound the energy of everything after the last bounce; None where the series does not fade."""
+    term = [_norms(one).astype(np.float32)[:, :, None, None] for one in last]
+    bound = [np.zeros_like(one) for one in term]
+    before = largest = max(float(one.max(initial=0.0)) for one in term)
+    if largest == 0.0:
+        return 0.0
+    for _ in range(MAX_POWERS):
+        term = [gather.apply(term) for gather in gathers]
+        for whole, one in zip(bound, term, strict=True):
+            whole += one
+        now = max(float(one.max(initial=0.0)) for one in term)
+        if now <= TAIL_SHARE * max(float(one.max(initial=0.0)) for one in bound):
+            ratio = min(now / before, 0.999)
+            bound = [whole + one * np.float32(ratio / (1.0 - ratio))
+                     for whole, one in zip(bound, term, strict=True)]  # fmt: skip
+            return _energy(scene, bound)
+        before = now
+    return None
+
+
+def _geometric(energies: Sequence[float]) -> float | None:
+    """Continue the last two energies as the squares of a geometric series."""
+    if energies[-1] == 0.0:
+        return 0.0
+    before, last = energies[-2:]
+    ratio = float(np.sqrt(last / before)) if before > 0.0 else 1.0
+    return last * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else None
+
+
+def _noise(
+    scene: Scene, sent: Sequence[F32], gather_to: Callable[..., BounceGather], seed: int
+) -> float:
+    """Estimate the squared error of one bounce: half the squared difference of two draws."""
+    total = 0.0
+    rng = np.random.default_rng([seed, 1])
+    for part, (start, stop) in enumerate(scene.part_ranges):
+        areas = np.maximum(scene.areas[start:stop], 0.0)
+        if not areas.sum() > 0.0:
+            continue
+        chosen: Int64[I64, " verts"] = np.sort(
+            start + rng.choice(stop - start, NOISE_VERTICES, p=areas / areas.sum())
+        )
+        first, second = (gather_to(part, chosen, seed=own).apply(sent) for own in (seed, seed + 1))
+        difference = _norms(first - second) ** 2
+        total += 0.5 * float(areas.sum()) * float(difference.sum(axis=1).mean())
+    return total
