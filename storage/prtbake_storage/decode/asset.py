@@ -7,6 +7,12 @@ metric"): a vertex x of cluster c has
     CTA   T_x = U_view  uf^-1(V_c^T w_x)  U_light,c^T                  [Tsai2006]_ eq. (18)
     CPCA  T_x = mean_c + sum_p w_xp component_cp                       [Sloan2003]_ section 4
 
+Light that coloured surfaces pass on to each other gives each colour a transfer of its own.  A part
+then has three channels of it, (3 * terms x coeffs x verts), channel by channel: row c * terms + k.
+Channel c of the light meets channel c of the transfer.  Both formulas hold with the channels' rows
+under each other: they share labels, weights, U_view and U_light,c, and V_c and the mean and
+components are as many times longer.
+
 Cluster arrays are zero padded to the largest rank of the part, so they are plain arrays.
 """
 
@@ -22,6 +28,9 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 Method = Literal["cta", "cpca"]
+
+CHANNEL_COUNTS = (1, 3)
+"""Transfer is the same for all colours, or differs in red, green and blue."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +51,8 @@ class Surface:
         (height, width, 3) linear Rec.709, row 0 at v = 1, repeated outside [0, 1]; or None.
     factorisation
         The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
+    n_channels
+        1, or 3 where transfer differs by the colour of the light.
     """
 
     name: str
@@ -50,6 +61,7 @@ class Surface:
     albedo: F32
     albedo_texture: F32 | None = None
     factorisation: Mapping[str, Any] | None = None
+    n_channels: int = 1
 
     @property
     def n_vertices(self) -> int:
@@ -78,9 +90,10 @@ class Part(Surface):
     light_bases
         (clusters, coeffs, R_light) U_light,c.
     dual_bases
-        (clusters, R_vert, R_view * R_light) V_c; a row unfolds to (R_view, R_light), light last.
+        (clusters, R_vert, channels * R_view * R_light) V_c, with the channels of the transfer; a
+        row unfolds to (channels, R_view, R_light), light last.
     means, components
-        (clusters, coeffs) and (clusters, pcs, coeffs).
+        (clusters, channels * coeffs) and (clusters, pcs, channels * coeffs), channel by channel.
     frames
         (verts, 3, 3) rows tangent, bitangent, normal; needed with a view texture.
     ranks
@@ -227,6 +240,8 @@ def check_asset(asset: Asset) -> None:
 
 def _check_part(where: str, part: Part, n_coeffs: int) -> None:
     verts, clusters, n_view = part.n_vertices, part.n_clusters, part.n_view
+    if part.n_channels not in CHANNEL_COUNTS:
+        raise ValueError(f"{where}/n_channels is {part.n_channels}, not 1 or 3")
     _shape(f"{where}/clusters/ranks", part.ranks, (clusters, 3))
     _shape(f"{where}/clusters/labels", part.labels, (verts,))
     _indices(f"{where}/clusters/labels", part.labels, clusters)
@@ -238,15 +253,16 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
             raise ValueError(f"{where}: cta needs light_bases and dual_bases")
         n_light = part.light_bases.shape[-1]
         _shape(f"{where}/clusters/light_bases", part.light_bases, (clusters, n_coeffs, n_light))
-        dual_shape = (clusters, n_weights, n_view * n_light)
+        dual_shape = (clusters, n_weights, part.n_channels * n_view * n_light)
         _shape(f"{where}/clusters/dual_bases", part.dual_bases, dual_shape)
     else:
         if part.means is None or part.components is None:
             raise ValueError(f"{where}: cpca needs means and components")
         if n_view != 1:
             raise ValueError(f"{where}/view_basis: cpca has one view column, not {n_view}")
-        _shape(f"{where}/clusters/means", part.means, (clusters, n_coeffs))
-        _shape(f"{where}/clusters/components", part.components, (clusters, n_weights, n_coeffs))
+        dims = part.n_channels * n_coeffs
+        _shape(f"{where}/clusters/means", part.means, (clusters, dims))
+        _shape(f"{where}/clusters/components", part.components, (clusters, n_weights, dims))
     if part.view_texture is not None:
         res, channels = part.view_texture.shape[0], part.view_texture.shape[-1]
         _shape(f"{where}/view_texture", part.view_texture, (res, res, n_view, channels))

@@ -9,7 +9,7 @@ F32 = NDArray[np.float32]
 
 
 def reconstruct(part: Part, verts: slice) -> F32:
-    """Return the whitened transfer (verts, terms, coeffs) of some vertices of a part.
+    """Return the whitened transfer (verts, channels * terms, coeffs) of some vertices of a part.
 
     [Tsai2006]_ eq. (18) for ``cta``, mean plus weighted components for ``cpca``.
     """
@@ -17,11 +17,12 @@ def reconstruct(part: Part, verts: slice) -> F32:
     if part.light_bases is not None and part.dual_bases is not None:
         n_terms, n_view = part.view_basis.shape
         n_coeffs, n_light = part.light_bases.shape[1:]
-        transfer = np.zeros((len(labels), n_terms, n_coeffs), np.float32)
+        transfer = np.zeros((len(labels), part.n_channels * n_terms, n_coeffs), np.float32)
         for cluster in np.unique(labels):
             members = np.flatnonzero(labels == cluster)
             core = (weights[members] @ part.dual_bases[cluster]).reshape(-1, n_view, n_light)
-            transfer[members] = (part.view_basis @ core) @ part.light_bases[cluster].T
+            terms = (part.view_basis @ core) @ part.light_bases[cluster].T
+            transfer[members] = terms.reshape(len(members), -1, n_coeffs)
         return transfer
     if part.means is None or part.components is None:
         raise ValueError(f"part {part.name!r} holds no factors")
@@ -29,4 +30,4 @@ def reconstruct(part: Part, verts: slice) -> F32:
     for cluster in np.unique(labels):
         members = np.flatnonzero(labels == cluster)
         signal[members] += weights[members] @ part.components[cluster]
-    return signal[:, None]
+    return signal.reshape(len(signal), part.n_channels, -1)

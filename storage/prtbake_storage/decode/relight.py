@@ -6,8 +6,10 @@ The colour of a point x of cluster c seen from wo is [Tsai2006]_ eqs. (22)-(23)
 
 with l the whitened light G^(-1/2) A L.  The work falls in three steps, each as seldom as it can:
 `cluster_matrices` once a light (R_c = uf^-1(V_c^T)_j L'_c), `vertex_radiance` once a light
-(sum over j), `shade` once a view.  Separable terms carry azimuthal orders, so phi' is evaluated in
-every corner's own frame and the colours are mixed, never the frames.
+(sum over j), `shade` once a view.  Channel c of l meets channel c of the transfer in the first
+step, so that the others need not know whether transfer has colours of its own.  Separable terms
+carry azimuthal orders, so phi' is evaluated in every corner's own frame and the colours are mixed,
+never the frames.
 """
 
 from collections.abc import Sequence
@@ -75,18 +77,24 @@ def cluster_matrices(part: Part, light: F64) -> F32:
         (clusters, R, R_view, 3): what one unit of each weight adds to each view column.  For
         CPCA row 0 is the mean, whose weight is 1.
     """
+    channels, n_view = part.n_channels, part.n_view
     if part.light_bases is not None and part.dual_bases is not None:
         bases = part.light_bases.transpose(0, 2, 1).astype(np.float64)
         lit = bases @ light  # (clusters, R_light, 3), eq. (23)
         clusters, n_weights, _ = part.dual_bases.shape
-        dual = part.dual_bases.reshape(clusters, n_weights * part.n_view, -1).astype(np.float64)
-        folded = (dual @ lit).reshape(clusters, n_weights, part.n_view, 3)
+        n_rows = n_weights * channels * n_view
+        rows = part.dual_bases.reshape(clusters, n_rows, -1).astype(np.float64)
+        folded = (rows @ lit).reshape(clusters, n_weights, channels, n_view, 3)
     elif part.means is not None and part.components is not None:
         rows = np.concatenate([part.means[:, None], part.components], axis=1).astype(np.float64)
-        folded = (rows @ light)[:, :, None]
+        clusters, n_weights, _ = rows.shape
+        rows = rows.reshape(clusters, n_weights * channels, -1)
+        folded = (rows @ light).reshape(clusters, n_weights, channels, n_view, 3)
     else:
         raise ValueError(f"part {part.name!r} holds no factors")
-    return folded.astype(np.float32)
+    # every channel of the transfer met every channel of the light: keep the pairs of like ones
+    own = folded[:, :, 0] if channels == 1 else np.einsum("grcvc->grvc", folded)
+    return own.astype(np.float32)
 
 
 def vertex_radiance(part: Part, matrices: F32) -> F32:

@@ -9,10 +9,13 @@
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation
-    /parts/<i>/       attributes name, vertex_start, vertex_stop, method
+    /parts/<i>/       attributes name, vertex_start, vertex_stop, n_channels, method
         material      JSON text
         clusters/     labels ranks light_bases dual_bases means components
         weights       ...
+
+Where ``n_channels`` is 3, transfer differs by colour.  An axis ``channel*term``, and its like in
+the factors, then runs through red, green and blue one after the other, as ``c * terms + k``.
 
 A factor held in 16 bits is an int16 dataset ``x`` beside a float32 dataset ``x_scale`` named by
 its attribute ``scale``; the value is ``x * scale``, broadcast.  Every dataset carries the names
@@ -44,7 +47,10 @@ ALLOWED_FILTERS = frozenset({1, 2, 3})
 """deflate, shuffle, fletcher32."""
 
 
-def transfer_chunk_vertices(n_terms: int, n_coeffs: int) -> int:
-    """Vertices in a chunk of transfer: a power of two near 1 MiB; tiles start at its multiples."""
-    fitting = max(1, TRANSFER_CHUNK_BYTES // (2 * n_terms * n_coeffs))
+def transfer_chunk_vertices(n_rows: int, n_coeffs: int) -> int:
+    """Vertices in a chunk of transfer: a power of two near 1 MiB; tiles start at its multiples.
+
+    ``n_rows`` is that of a vertex, channels * terms.
+    """
+    fitting = max(1, TRANSFER_CHUNK_BYTES // (2 * n_rows * n_coeffs))
     return min(1 << (fitting.bit_length() - 1), 4096)

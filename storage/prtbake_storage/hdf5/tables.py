@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import Surface
+from prtbake_storage.decode.asset import CHANNEL_COUNTS, Surface
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 
@@ -15,10 +15,13 @@ F32 = NDArray[np.float32]
 
 
 def put_surface(group: h5py.Group, surface: Surface) -> None:
-    """Write a part's name, range, material, albedo and factorisation."""
+    """Write a part's name, range, material, albedo, factorisation and channels of transfer."""
+    if surface.n_channels not in CHANNEL_COUNTS:
+        raise ValueError(f"{surface.name}: n_channels is {surface.n_channels}, not 1 or 3")
     h5.set_attribute(group, "name", surface.name)
     h5.set_attribute(group, "vertex_start", surface.vertex_range[0])
     h5.set_attribute(group, "vertex_stop", surface.vertex_range[1])
+    h5.set_attribute(group, "n_channels", surface.n_channels)
     h5.put_json(group, "material", dict(surface.material))
     h5.put(group, "albedo", surface.albedo.astype(np.float32), "channels")
     if surface.albedo_texture is not None:
@@ -33,6 +36,9 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
     start, stop = h5.attribute(group, "vertex_start"), h5.attribute(group, "vertex_stop")
     if not isinstance(start, int) or not isinstance(stop, int) or not 0 <= start < stop:
         raise CorruptArtefact(f"{group.name}: vertex range {start}..{stop} is no range")
+    n_channels = h5.attribute(group, "n_channels")
+    if not isinstance(n_channels, int) or n_channels not in CHANNEL_COUNTS:
+        raise CorruptArtefact(f"{group.name}: n_channels is {n_channels!r}, not 1 or 3")
     albedo: F32 = h5.get(group, "albedo", "f", (None,)).astype(np.float32)
     if albedo.shape not in {(1,), (3,)}:
         raise CorruptArtefact(f"{group.name}/albedo has shape {albedo.shape}, not (1,) or (3,)")
@@ -49,6 +55,7 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
         "albedo": albedo,
         "albedo_texture": texture,
         "factorisation": tables,
+        "n_channels": n_channels,
     }
 
 

@@ -1,6 +1,7 @@
 """Raw transfer: a header, and 16-bit coefficients written in tiles by many processes.
 
-A coefficient is int16 times a float32 scale of its vertex and term.  A chunk holds whole vertices;
+A coefficient is int16 times a float32 scale of its vertex and row.  A row is a term, or where
+transfer has three channels a term of one of them: row c * terms + k.  A chunk holds whole vertices;
 tiles begin at multiples of it, so that the join moves compressed chunks as they are.
 """
 
@@ -28,7 +29,7 @@ F64 = NDArray[np.float64]
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
-PER_VERTEX = {"scale": "verts terms", "signal_energy": "verts", "residual_energy": "verts"}
+PER_VERTEX = {"scale": "verts channel*term", "signal_energy": "verts", "residual_energy": "verts"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +37,17 @@ class TransferPart(Surface):
     """All of a part but its coefficients.
 
     ``areas`` (verts,) weigh errors over the surface; ``frames`` (verts, 3, 3) or None for a
-    constant phi; ``n_terms`` the terms of the BRDF's factorisation.
+    constant phi; ``n_terms`` the terms K of the BRDF's factorisation, whatever ``n_channels``.
     """
 
     areas: F64
     n_terms: int
     frames: F64 | None = None
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of coefficients a vertex has: its terms, channel by channel."""
+        return self.n_channels * self.n_terms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +65,10 @@ class TransferHeader:
 
 
 class Energies(NamedTuple):
-    """Squared radiance norms a vertex (verts,): of the signal, and of what projection left out."""
+    """Squared radiance norms a vertex (verts,): of the signal, and of what projection left out.
+
+    Sums over all rows: three channels count as three signals.
+    """
 
     signal: F64
     residual: F64
@@ -75,14 +84,14 @@ def write_transfer_tile(
     path
         Final name.
     coefficients
-        (verts, terms, coeffs) int16, whitened when multiplied by ``scale``.
+        (verts, rows, coeffs) int16, whitened when multiplied by ``scale``.
     scale
-        (verts, terms).
+        (verts, rows).
     signal_energy, residual_energy
         (verts,) squared radiance norms.
     """
     if coefficients.dtype != np.int16 or scale.shape != coefficients.shape[:2]:
-        raise ValueError("coefficients must be int16 with a (verts, terms) scale")
+        raise ValueError("coefficients must be int16 with a (verts, rows) scale")
     with h5.new_file(path, "transfer") as file:
         target = _create_coefficients(file, coefficients.shape)
         target[...] = coefficients
@@ -131,7 +140,7 @@ class TransferFile:
     def read(self, part: int, start: int = 0, stop: int | None = None) -> F32:
         """Return whitened float32 coefficients of vertices start..stop, counted in the part.
 
-        Shape (verts, terms, coeffs).  Raises CorruptArtefact where a checksum fails.
+        Shape (verts, rows, coeffs).  Raises CorruptArtefact where a checksum fails.
         """
         values = h5.read(self._groups[part]["coefficients"], slice(start, stop))
         scale = h5.read(self._groups[part]["scale"], slice(start, stop))
@@ -180,14 +189,20 @@ def _get_part(group: h5py.Group, n_coeffs: int) -> TransferPart:
     start, stop = surface["vertex_range"]
     verts = stop - start
     coefficients = h5.dataset(group, "coefficients", "i", 3)
-    n_terms = coefficients.shape[1]
-    if coefficients.dtype != np.int16 or coefficients.shape != (verts, n_terms, n_coeffs):
+    n_rows = coefficients.shape[1]
+    if coefficients.dtype != np.int16 or coefficients.shape != (verts, n_rows, n_coeffs):
         raise CorruptArtefact(
             f"{coefficients.name} is {coefficients.dtype} {coefficients.shape}, "
-            f"not int16 {(verts, n_terms, n_coeffs)}"
+            f"not int16 {(verts, n_rows, n_coeffs)}"
+        )
+    n_channels = surface["n_channels"]
+    n_terms, left = divmod(n_rows, n_channels)
+    if left:
+        raise CorruptArtefact(
+            f"{coefficients.name} has {n_rows} rows for n_channels {n_channels}: no whole terms"
         )
     for name, axes in PER_VERTEX.items():
-        h5.get(group, name, "f", (verts, n_terms)[: len(axes.split())])
+        h5.get(group, name, "f", (verts, n_rows)[: len(axes.split())])
     areas = h5.get(group, "areas", "f", (verts,)).astype(np.float64)
     frames = None
     if h5.has(group, "frames"):
@@ -204,10 +219,10 @@ def _stored_chunk(source: h5py.Dataset, start: int) -> tuple[int, bytes]:
 
 
 def _create_coefficients(group: h5py.Group, shape: tuple[int, ...]) -> h5py.Dataset:
-    rows = schema.transfer_chunk_vertices(shape[1], shape[2])
+    chunk_verts = schema.transfer_chunk_vertices(shape[1], shape[2])
     target = h5.create(
-        group, "coefficients", shape, np.dtype(np.int16), "verts terms coeffs",
-        chunk_rows=rows, growing=True, level=schema.TRANSFER_GZIP_LEVEL,
+        group, "coefficients", shape, np.dtype(np.int16), "verts channel*term coeffs",
+        chunk_rows=chunk_verts, growing=True, level=schema.TRANSFER_GZIP_LEVEL,
     )  # fmt: skip
     h5.set_attribute(target, "scale", "scale")
     return target
@@ -220,9 +235,9 @@ def _put_vertex_data(group: h5py.Group, scale: F32, signal: F64, residual: F64) 
 
 
 def _join_part(group: h5py.Group, part: TransferPart, n_coeffs: int, paths: Sequence[Path]) -> None:
-    shape = (part.n_vertices, part.n_terms, n_coeffs)
+    shape = (part.n_vertices, part.n_rows, n_coeffs)
     target = _create_coefficients(group, shape)
-    rows = schema.transfer_chunk_vertices(part.n_terms, n_coeffs)
+    chunk_verts = schema.transfer_chunk_vertices(part.n_rows, n_coeffs)
     vertex_data: dict[str, list[NDArray[Any]]] = {name: [] for name in PER_VERTEX}
     start = 0
     for path in paths:
@@ -232,14 +247,16 @@ def _join_part(group: h5py.Group, part: TransferPart, n_coeffs: int, paths: Sequ
                 raise CorruptArtefact(
                     f"tile at vertex {start} of part {part.name!r} has shape {source.shape}"
                 )
-            if start % rows:
-                raise CorruptArtefact(f"tile at vertex {start} does not start at a chunk of {rows}")
+            if start % chunk_verts:
+                raise CorruptArtefact(
+                    f"tile at vertex {start} does not start at a chunk of {chunk_verts}"
+                )
             count = source.shape[0]
-            for offset in range(0, count, rows):
+            for offset in range(0, count, chunk_verts):
                 mask, chunk = _stored_chunk(source, offset)
                 target.id.write_direct_chunk((start + offset, 0, 0), chunk, mask)
             for name, axes in PER_VERTEX.items():
-                expected = (count, part.n_terms)[: len(axes.split())]
+                expected = (count, part.n_rows)[: len(axes.split())]
                 vertex_data[name].append(h5.get(tile, name, "f", expected))
         start += count
     if start != part.n_vertices:

@@ -23,9 +23,9 @@ F32 = NDArray[np.float32]
 
 AXES = {
     "light_bases": "clusters coeffs light",
-    "dual_bases": "clusters vert view*light",
-    "means": "clusters coeffs",
-    "components": "clusters pcs coeffs",
+    "dual_bases": "clusters vert channel*view*light",
+    "means": "clusters channel*coeff",
+    "components": "clusters pcs channel*coeff",
     "view_texture": "height width view channels",
 }
 

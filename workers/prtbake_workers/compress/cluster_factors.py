@@ -1,8 +1,9 @@
 """Light and vertex factors of one cluster, fitted by alternating least squares.
 
 All of it works on Z_view = T x_1 U_view^T ([Tsai2006]_ eq. 14) of the cluster's own vertices,
-held as (verts, r_view, coeffs).  A vertex's weight a_x enters as sqrt(a_x) on the small matrices,
-never on the data, so bases serve the unweighted vertices as they are.
+held as (verts, r_view, coeffs); where transfer has colour channels, the view rows of one lie under
+those of the other, and r_view counts them all.  A vertex's weight a_x enters as sqrt(a_x) on the
+small matrices, never on the data, so bases serve the unweighted vertices as they are.
 """
 
 from typing import NamedTuple

@@ -3,6 +3,10 @@
 Three phases: an initial clustering, a clustering phase that alternates between fitting the bases
 of each cluster and re-classifying the vertices, and an approximation phase that also updates the
 view basis shared by all clusters.
+
+Transfer of three colour channels is one tensor whose view axis holds the channels one under the
+other.  They share the view basis; what it leaves of them, channels * R_view rows, is not reduced
+further in that mode, so a vertex's one set of weights serves all colours.
 """
 
 from collections.abc import Callable
@@ -12,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
 from prtbake_workers.compress.classify import reclassify
 from prtbake_workers.compress.cluster_factors import (
@@ -57,13 +62,14 @@ Progress = Callable[[float, str], None]
 
 
 def compress_cta(
-    transfer: Float[NDArray[Any], "verts terms coeffs"],
+    transfer: Float[NDArray[Any], "verts rows coeffs"],
     n_clusters: int,
     ranks: CtaRanks,
     *,
     seed: int,
     max_iterations: int = 10,
     vertex_weights: NDArray[Any] | None = None,
+    n_channels: int = 1,
     progress: Progress | None = None,
 ) -> CtaModel:
     """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
@@ -73,11 +79,13 @@ def compress_cta(
     transfer
         float32 T, (view, light) matrix of each vertex, in an orthonormal (whitened) basis of the
         light and with orthonormal view functions, so that squared errors are squared radiance
-        errors.
+        errors.  A row is a term of the view; with channels, row c * terms + k is term k of channel
+        c.
     n_clusters
         Clusters, at least 1; cut to the number of vertices.
     ranks
         (view, light, vert) reduced ranks, at least 1; cut to what the tensor's shape can fill.
+        The view rank is that of each channel.
     seed
         Start of the clustering; the same seed and tensor give the same model.
     max_iterations
@@ -86,6 +94,8 @@ def compress_cta(
     vertex_weights
         Weight of each vertex in the squared error, >= 0, e.g. its area; ones when None.  Vertices
         of weight zero are approximated by what serves the others.
+    n_channels
+        Colour channels that the rows hold one after the other, at least 1.
     progress
         Called with the fraction done and a word on the state, at most once a step.
 
@@ -108,6 +118,11 @@ def compress_cta(
     cluster takes a part of the one with the largest error, along with its bases.
     """
     t = checked_signal(transfer, "transfer", ("verts", "terms", "coeffs"))
+    if t.shape[1] % checked_count(n_channels, "n_channels"):
+        raise SettingsError(
+            f"transfer has {t.shape[1]} rows for n_channels {n_channels}: no whole terms",
+            pointer="/n_channels",
+        )
     weights = checked_vertex_weights(vertex_weights, len(t))
     notes: list[str] = []
     n_clusters = clipped(
@@ -117,11 +132,12 @@ def compress_cta(
         "one vertex a cluster at least",
         notes,
     )
-    ranks = _fitting_ranks(CtaRanks(*ranks), t, notes)
+    ranks = _fitting_ranks(CtaRanks(*ranks), t, n_channels, notes)
     checked_count(max_iterations, "max_iterations")
 
     with same_bytes_on_any_threads():
-        fit = _Fit(t, weights, ranks, n_clusters, np.random.default_rng(seed), max_iterations)
+        rng = np.random.default_rng(seed)
+        fit = _Fit(t, weights, ranks, n_clusters, n_channels, rng, max_iterations)
         fit.run(progress or _no_progress)
         return fit.model(seed, notes)
 
@@ -131,15 +147,19 @@ def _no_progress(fraction: float, state: str) -> None:
 
 
 def _fitting_ranks(
-    ranks: CtaRanks, transfer: Float32[F32, "verts terms coeffs"], notes: list[str]
+    ranks: CtaRanks,
+    transfer: Float32[F32, "verts rows coeffs"],
+    n_channels: int,
+    notes: list[str],
 ) -> CtaRanks:
     """Return ``ranks`` cut to what a tensor of this shape can have."""
-    n_verts, n_terms, n_coeffs = transfer.shape
+    n_verts, n_rows, n_coeffs = transfer.shape
+    n_terms = n_rows // n_channels
     for name, value in zip(ranks._fields, ranks, strict=True):
         checked_count(value, f"ranks/{name}")
     view = clipped(ranks.view, n_terms, "ranks.view", f"{n_terms} terms", notes)
     light = clipped(ranks.light, n_coeffs, "ranks.light", f"{n_coeffs} coefficients", notes)
-    span = min(n_verts, view * light)
+    span = min(n_verts, n_channels * view * light)
     vert = clipped(ranks.vert, span, "ranks.vert", f"vertices span {span} dimensions", notes)
     return CtaRanks(view, light, vert)
 
@@ -148,25 +168,31 @@ class _Fit:
     """State of the iteration: bases, labels, and the squared error of every vertex.
 
     ``errors`` is what the clusters' bases leave of Z_view, ``view_errors`` what the view basis
-    leaves of T.  They are orthogonal, so their sum is the vertex's squared error.
+    leaves of T.  They are orthogonal, so their sum is the vertex's squared error.  ``z`` holds the
+    r_view rows of each channel, channel by channel.
     """
 
     def __init__(
         self,
-        transfer: Float32[F32, "verts terms coeffs"],
+        transfer: Float32[F32, "verts rows coeffs"],
         weights: Float64[F64, " verts"],
         ranks: CtaRanks,
         n_clusters: int,
+        n_channels: int,
         rng: np.random.Generator,
         max_iterations: int,
     ) -> None:
-        n_verts, _, n_coeffs = transfer.shape
+        n_verts, n_rows, n_coeffs = transfer.shape
         self.transfer, self.weights, self.ranks = transfer, weights, ranks
         self.n_clusters, self.rng, self.max_iterations = n_clusters, rng, max_iterations
+        self.n_channels = n_channels
         self.root_weights = np.sqrt(weights)
-        self.view_basis = initial_view_basis(transfer, weights, ranks.view)
-        self.z = np.empty((n_verts, ranks.view, n_coeffs), dtype=np.float32)
-        self.view_errors = project_view(transfer, self.view_basis, self.z)
+        self.by_channel = transfer.reshape(n_verts * n_channels, n_rows // n_channels, n_coeffs)
+        self.view_basis = initial_view_basis(
+            self.by_channel, np.repeat(weights, n_channels), ranks.view
+        )
+        self.z = np.empty((n_verts, n_channels * ranks.view, n_coeffs), dtype=np.float32)
+        self.view_errors = self._project_view()
         self.errors = np.zeros(n_verts)
         self.labels: I32 = np.zeros(n_verts, dtype=np.int32)
         self.factors: list[ClusterFactors] = []
@@ -200,6 +226,12 @@ class _Fit:
             if self.trace.has_converged(CONVERGED):
                 break
         progress(1.0, f"error {self.trace.ratio:.3%}")
+
+    def _project_view(self) -> F64:
+        """Bring ``z`` up to date with the view basis; return what that leaves of each vertex."""
+        z = self.z.reshape(len(self.by_channel), self.ranks.view, -1)
+        left_out = project_view(self.by_channel, self.view_basis, z)
+        return np.asarray(left_out.reshape(len(self.z), self.n_channels).sum(axis=1))
 
     def _members(self) -> list[I32]:
         return members_by_cluster(self.labels, self.n_clusters)
@@ -252,9 +284,15 @@ class _Fit:
 
         vertex_bases = map_in_order(basis, range(self.n_clusters))
         self.view_basis = updated_view_basis(
-            self.transfer, members, vertex_bases, self.factors, self.root_weights, self.ranks.view
+            self.transfer,
+            members,
+            vertex_bases,
+            self.factors,
+            self.root_weights,
+            self.ranks.view,
+            self.n_channels,
         )
-        self.view_errors = project_view(self.transfer, self.view_basis, self.z)
+        self.view_errors = self._project_view()
         self.factors = map_in_order(fit, range(self.n_clusters))
         self._record()
 
@@ -275,10 +313,10 @@ class _Fit:
         if len(used) < self.n_clusters:
             left_out = self.n_clusters - len(used)
             notes.append(f"{left_out} clusters left out: too few distinct vertices")
-        n_coeffs = self.z.shape[2]
+        n_rows, n_coeffs = self.z.shape[1:]
         r_view, r_light, r_vert = self.ranks
         light = np.zeros((len(used), n_coeffs, r_light), dtype=np.float32)
-        dual = np.zeros((len(used), r_vert, r_view, r_light), dtype=np.float32)
+        dual = np.zeros((len(used), r_vert, n_rows, r_light), dtype=np.float32)
         weights = np.zeros((len(self.z), r_vert), dtype=np.float32)
         ranks = np.zeros((len(used), 3), dtype=np.int32)
         members = members_by_cluster(labels.astype(np.int32), len(used))
@@ -288,13 +326,13 @@ class _Fit:
             ranks[index] = r_view, own_light, own_vert
             light[index, :, :own_light] = factors.light
             dual[index, :own_vert, :, :own_light] = factors.dual.reshape(
-                own_vert, r_view, own_light
+                own_vert, n_rows, own_light
             )
             weights[verts, :own_vert] = projected_weights(self.z[verts], factors)
         return CtaModel(
             view_basis=self.view_basis,
             light_bases=light,
-            dual_bases=dual.reshape(len(used), r_vert, r_view * r_light),
+            dual_bases=dual.reshape(len(used), r_vert, n_rows * r_light),
             weights=weights,
             labels=labels.astype(np.int32),
             ranks=ranks,
@@ -303,5 +341,6 @@ class _Fit:
             squared_error_per_vertex=self.view_errors + self.errors,
             iterations=len(self.trace.values),
             seed=seed,
+            n_channels=self.n_channels,
             notes=notes,
         )

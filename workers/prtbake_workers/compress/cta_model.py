@@ -21,7 +21,8 @@ class CtaModel:
     """A transfer tensor as one view basis, and two bases for each cluster of vertices.
 
     T_x ~ U_view uf^-1(V_c^T w_x) U_light,c^T ([Tsai2006]_ eq. 18), with ``view_basis`` U_view,
-    ``light_bases`` U_light,c, ``dual_bases`` V_c and ``weights`` w_x.
+    ``light_bases`` U_light,c, ``dual_bases`` V_c and ``weights`` w_x.  Colour channels share all
+    but the dual bases, which hold the view rows of one channel after those of the other.
 
     Attributes
     ----------
@@ -31,13 +32,13 @@ class CtaModel:
         Orthonormal columns of each cluster; zero beyond its rank.
     dual_bases
         Orthonormal rows of each cluster, zero beyond its rank.  A row unfolds to
-        (R_view, R_light), light last.
+        (channels, R_view, R_light), light last.
     weights
         Projected weights of each vertex; zero beyond its cluster's rank.
     labels
         Cluster of each vertex.
     ranks
-        True (view, light, vert) ranks of each cluster.
+        True (view, light, vert) ranks of each cluster; view is that of one channel.
     objective
         Squared error, weighted by the vertices' weights, after each model step.
     initial_energy
@@ -46,13 +47,15 @@ class CtaModel:
         Squared error of each vertex, without its weight.
     iterations, seed
         Model steps, and the seed of the initial clustering.
+    n_channels
+        Channels of the tensor: row c * terms + k of a vertex is term k of channel c.
     notes
         What was cut or left out, in words.
     """
 
     view_basis: Float32[F32, "terms r_view"]
     light_bases: Float32[F32, "clusters coeffs r_light"]
-    dual_bases: Float32[F32, "clusters r_vert r_view_light"]
+    dual_bases: Float32[F32, "clusters r_vert channel_view_light"]
     weights: Float32[F32, "verts r_vert"]
     labels: Int32[I32, " verts"]
     ranks: Int32[I32, "clusters 3"]
@@ -61,6 +64,7 @@ class CtaModel:
     squared_error_per_vertex: Float64[F64, " verts"]
     iterations: int
     seed: int
+    n_channels: int = 1
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -79,15 +83,16 @@ class CtaModel:
         """Squared error over squared norm, both weighted; 0 for a tensor of zeros."""
         return self.objective[-1] / self.initial_energy if self.initial_energy > 0.0 else 0.0
 
-    def reconstruct(self, verts: slice | None = None) -> Float32[F32, "part_verts terms coeffs"]:
+    def reconstruct(self, verts: slice | None = None) -> Float32[F32, "part_verts rows coeffs"]:
         """Return the approximated transfer of ``verts``, or of every vertex."""
         part = slice(None) if verts is None else verts
         labels, weights = self.labels[part], self.weights[part]
         n_terms, r_view = self.view_basis.shape
         n_coeffs, r_light = self.light_bases.shape[1:]
-        transfer = np.empty((len(labels), n_terms, n_coeffs), dtype=np.float32)
+        transfer = np.empty((len(labels), self.n_channels * n_terms, n_coeffs), dtype=np.float32)
         for cluster in np.unique(labels):
             members = np.flatnonzero(labels == cluster)
             core = (weights[members] @ self.dual_bases[cluster]).reshape(-1, r_view, r_light)
-            transfer[members] = (self.view_basis @ core) @ self.light_bases[cluster].T
+            terms = (self.view_basis @ core) @ self.light_bases[cluster].T
+            transfer[members] = terms.reshape(len(members), -1, n_coeffs)
         return transfer

@@ -1,4 +1,7 @@
-"""The view basis that all clusters share, and the tensor projected on it."""
+"""The view basis that all clusters share, and the tensor projected on it.
+
+Colour channels share it as well: to the view mode each channel of a vertex is a vertex of its own.
+"""
 
 from collections.abc import Sequence
 
@@ -31,27 +34,30 @@ def initial_view_basis(
 
 
 def updated_view_basis(
-    transfer: Transfer,
+    transfer: Float32[F32, "verts rows coeffs"],
     members: Sequence[I32],
     vertex_bases: Sequence[F64],
     factors: Sequence[ClusterFactors],
     root_weights: Float64[F64, " verts"],
     rank: int,
+    n_channels: int = 1,
 ) -> Float32[F32, "terms r_view"]:
     """Return the best U_view for given light and vertex bases ([Tsai2006]_ eq. 19).
 
-    The Gram matrix of uf_1(Z_light,vert) is summed over clusters in float64.
+    The Gram matrix of uf_1(Z_light,vert) is summed over clusters and channels in float64; a row of
+    ``transfer`` is a term, or a term of one channel.
     """
-    n_terms, n_coeffs = transfer.shape[1:]
+    n_rows, n_coeffs = transfer.shape[1:]
+    n_terms = n_rows // n_channels
 
     def gram_of(index: int) -> F64:
         verts, u_vert, cluster = members[index], vertex_bases[index], factors[index]
         if len(verts) == 0:
             return np.zeros((n_terms, n_terms))
         mixing = (u_vert * root_weights[verts, None]).T.astype(np.float32)
-        mixed = mixing @ transfer[verts].reshape(len(verts), n_terms * n_coeffs)
+        mixed = mixing @ transfer[verts].reshape(len(verts), n_rows * n_coeffs)
         core = (mixed.reshape(-1, n_coeffs) @ cluster.light).astype(np.float64)
-        r_vert, r_light = mixing.shape[0], cluster.light.shape[1]
+        r_vert, r_light = n_channels * mixing.shape[0], cluster.light.shape[1]
         core = core.reshape(r_vert, n_terms, r_light).transpose(1, 0, 2)
         unfolded = core.reshape(n_terms, r_vert * r_light)
         return np.asarray(unfolded @ unfolded.T)

@@ -110,6 +110,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                     n_verts=part.n_vertices,
                     n_terms=part.n_terms,
                     n_coeffs=len(header.centres),
+                    n_channels=part.n_channels,
                 )
             ),
         }
@@ -120,11 +121,11 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
-    """Read all whitened coefficients of a part as float32 (verts, terms, coeffs)."""
+    """Read all whitened coefficients of a part as float32 (verts, rows, coeffs)."""
     with open_transfer(path) as transfer:
         own = transfer.header.parts[part]
         n_coeffs = len(transfer.header.centres)
-        coefficients = np.zeros((own.n_vertices, own.n_terms, n_coeffs), np.float32)
+        coefficients = np.zeros((own.n_vertices, own.n_rows, n_coeffs), np.float32)
         for start in range(0, own.n_vertices, READ_VERTS):
             stop = min(start + READ_VERTS, own.n_vertices)
             coefficients[start:stop] = transfer.read(part, start, stop)
@@ -150,6 +151,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             max_iterations=args["max_iterations"],
             progress=progress,
             vertex_weights=weights,
+            n_channels=part.n_channels,
         )
         arrays = {
             name: getattr(cta, name)
@@ -158,7 +160,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         model: Any = cta
     else:
         cpca = compress_cpca(
-            coefficients[:, 0],
+            coefficients.reshape(len(coefficients), -1),
             compression["n_clusters"],
             compression["n_components"],
             method="static",
@@ -248,6 +250,7 @@ def make_part(
         view_texture=texture,
         frames=None if part.frames is None else part.frames.astype(np.float32),
         factorisation=part.factorisation,
+        n_channels=part.n_channels,
         **arrays,
     )
     return joined, error

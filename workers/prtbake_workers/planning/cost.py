@@ -62,24 +62,31 @@ def part_cost(
     n_terms: int,
     shadows: bool,
     iterations: int,
+    n_channels: int = 1,
 ) -> PartCost:
-    """Predict seconds, bytes and memory of baking and compressing one part."""
+    """Predict seconds, bytes and memory of baking and compressing one part.
+
+    ``n_channels`` 3 stores and compresses three times the rows; the rays and the projection of
+    direct light stay those of one.
+    """
     n_coeffs = bake.n_centres
-    values = n_verts * n_terms * n_coeffs
+    values = n_verts * n_channels * n_terms * n_coeffs
     view, light, vert = compression.ranks
     clusters = compression.n_clusters
     if compression.method == "cta":
-        classify = 2.0 * n_verts * (view * n_coeffs) * (clusters * vert)
-        model = 8.0 * n_verts * view * n_coeffs * (view * light + n_coeffs / 2)
+        rows = n_channels * view
+        classify = 2.0 * n_verts * (rows * n_coeffs) * (clusters * vert)
+        model = 8.0 * n_verts * rows * n_coeffs * (view * light + n_coeffs / 2)
         floats = (
-            n_terms * view + clusters * (n_coeffs * light + vert * view * light) + n_verts * vert
+            n_terms * view + clusters * (n_coeffs * light + vert * rows * light) + n_verts * vert
         )
-        memory = 4 * values + 8 * n_verts * view * n_coeffs
+        memory = 4 * values + 8 * n_verts * rows * n_coeffs
     else:
         rank = compression.n_components
-        classify = 2.0 * n_verts * n_terms * n_coeffs * clusters
-        model = 2.0 * n_verts * (n_terms * n_coeffs) ** 2 / iterations
-        floats = clusters * n_terms * n_coeffs * (rank + 1) + n_verts * rank
+        classify = 2.0 * values * clusters
+        # the Gram matrix is that of a cluster's vertices, which channels do not add to
+        model = 2.0 * n_verts * n_channels * (n_terms * n_coeffs) ** 2 / iterations
+        floats = clusters * n_channels * n_terms * n_coeffs * (rank + 1) + n_verts * rank
         memory = 12 * values
     return PartCost(
         bake_seconds=n_verts * bake_seconds_per_vertex(bake, n_terms=n_terms, shadows=shadows),

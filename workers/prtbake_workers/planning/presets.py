@@ -154,12 +154,19 @@ class PartCompression:
 
 
 def resolve_compression(
-    settings: CompressSettings, quality: Quality, *, n_verts: int, n_terms: int, n_coeffs: int
+    settings: CompressSettings,
+    quality: Quality,
+    *,
+    n_verts: int,
+    n_terms: int,
+    n_coeffs: int,
+    n_channels: int = 1,
 ) -> PartCompression:
     """Choose method, clusters and ranks of a part from its size, unless the request gives them.
 
     One term means clustered PCA, more mean clustered tensor approximation ([Tsai2006] 5.2).
-    Ranks and cluster counts are cut to what the data can hold.
+    Ranks and cluster counts are cut to what the data can hold.  Three colour channels share weights
+    and clusters; the view rank is that of each.
 
     Raises
     ------
@@ -179,5 +186,5 @@ def resolve_compression(
         method=method,
         n_clusters=min(n_clusters, n_verts),
         ranks=(min(view, n_terms), min(light, n_coeffs), vert),
-        n_components=min(settings.n_components or step.n_components, n_coeffs),
+        n_components=min(settings.n_components or step.n_components, n_channels * n_coeffs),
     )
