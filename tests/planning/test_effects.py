@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from prtbake_storage.contract.settings import Effects
+from prtbake_storage.contract.settings import BakeSettings, Effects
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.cook_torrance import CookTorrance
@@ -23,6 +23,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.planning.effects import convexity_defect, decide_effects, probe_occlusion
 from prtbake_workers.planning.plan import occluders_of
+from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
 
@@ -42,7 +43,9 @@ def decisions(meshes, *, watertight, requested=None, factorisation=DIFFUSE):
         scene,
         Accelerator(scene.positions, scene.faces),
         factorisations=[factorisation, DIFFUSE][: len(meshes)],
+        albedo=Albedo.constant(0.5),
         watertight=watertight,
+        bake=BakeSettings(),
         requested=requested or Effects(),
         seed=0,
     )

@@ -15,12 +15,15 @@ class Effects(Wire):
     """Which effects to simulate; ``auto`` lets planning decide.
 
     ``view_dependence`` off bakes one term a part, whatever ``n_terms`` asks for: the view then
-    scales what a point reflects and chooses nothing of it.
+    scales what a point reflects and chooses nothing of it.  ``colour_bleeding`` gives each colour
+    its own bounced light, at three times the coefficients; without it colours share their mean.
     """
 
     self_shadowing: Switch = "auto"
     receiver_shadows: Switch = "auto"
     view_dependence: Switch = "auto"
+    interreflection: Switch = "auto"
+    colour_bleeding: Switch = "auto"
 
 
 class ReceiverPlane(Wire):
@@ -36,6 +39,8 @@ class BakeSettings(Wire):
     """Transport: ``cube_resolution`` N is 6 N^2 directions; ``supersample`` S is S^2 rays each.
 
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
+    Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
+    squared-error ratio in radiance norm) or ``max_bounces`` are done.
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
@@ -44,6 +49,9 @@ class BakeSettings(Wire):
     bandwidth: Positive | None = None
     n_terms: Annotated[int, Field(ge=1, le=256)] | None = None
     term_energy_lost: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    bounce_rays: Annotated[int, Field(ge=1, le=4096)] = 64
+    max_bounces: Annotated[int, Field(ge=1, le=64)] = 6
+    bounce_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
     frame_seed: int | None = None
     tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     threads: Annotated[int, Field(ge=1, le=64)] = 1

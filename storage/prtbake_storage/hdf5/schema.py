@@ -26,7 +26,7 @@ found.  No times are written, so equal content is equal bytes.
 
 FORMAT = "prtbake"
 VERSION = 1
-KINDS = ("asset", "transfer", "light", "mesh", "environment", "brdf")
+KINDS = ("asset", "transfer", "bounces", "light", "mesh", "environment", "brdf")
 
 LIBVER = ("v110", "v110")
 """HDF5 1.10 (2016): the oldest whose metadata has checksums."""

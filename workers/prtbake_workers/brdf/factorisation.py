@@ -1,7 +1,7 @@
 """A BRDF as a short sum of products, ``rho(wi, wo) ~ sum_k psi_k(wi) phi_k(wo)``."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -162,6 +162,17 @@ class Factorisation:
         energy = np.einsum("i,ik->k", weight, psi * psi) * norm_of_order(orders)
         summed = np.einsum("kioc,i,ik->okc", blocks, weight, psi, optimize=True)
         return np.asarray(summed / energy[:, None])
+
+    def greyed(self) -> "Factorisation":
+        """Replace the channels of phi by their mean; the same where there is one."""
+        if self.n_channels == 1:
+            return self
+        return replace(
+            self,
+            phi_radial=self.phi_radial.mean(axis=2, keepdims=True),
+            phi_table=self.phi_table.mean(axis=2, keepdims=True),
+            brdf=None,
+        )
 
     def tables(self) -> dict[str, Any]:
         """Give everything but the BRDF as small arrays and plain values, for storage."""

@@ -1,5 +1,6 @@
 """Job kind ``bake``: plan, transport tiles, join."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,13 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
 from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs import bounce
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
     read_projection,
     read_scene,
+    reflection_of,
     write_projection,
     write_scene,
 )
@@ -46,7 +49,7 @@ PLAN_CPU_SECONDS = 900
 def stages(
     request: dict[str, Any], context: dict[str, Any], settings: StageSettings, quality: Quality
 ) -> list[Stage]:
-    """Plan the scene, bake its tiles, join them."""
+    """Plan the scene, bake its tiles, bounce their light, join them."""
     threads = settings.bake.threads
     plan_args = {
         "mesh": context["mesh"]["canonical"],
@@ -92,15 +95,14 @@ def stages(
 
     def join(results: Results) -> list[Task]:
         (planned,) = results["plan"]
-        done = iter(results["bake"])
-        grouped = [[next(done)["tile"] for _ in part["tiles"]] for part in planned["plan"]["parts"]]
-        return [
-            Task(f"{_MODULE}:join", {"scene": planned["scene"], "tiles": grouped}, label="join")
-        ]
+        last = "bake" if planned["plan"]["bounces"] is None else "add_bounces"
+        tiles = bounce.grouped_tiles(results, last)
+        return [Task(f"{_MODULE}:join", {"scene": planned["scene"], "tiles": tiles}, label="join")]
 
     return [
         Stage("plan", "scene", 3.0, plan),
         Stage("bake", "tiles", 40.0, tiles),
+        *bounce.stages(),
         Stage("join", "file", 2.0, join),
     ]
 
@@ -144,6 +146,8 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scene,
         Accelerator(scene.positions, scene.faces),
         factorisations=factorisations,
+        albedo=reflection_of(scene, factorisations, texture)[1],
+        bake=settings.bake,
         watertight=bool(report.get("watertight", False)),
         requested=requested,
         seed=args["seed"],
@@ -159,8 +163,12 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         chunk_vertices=transfer_chunk_vertices,
         notes=[*notes, *repairs(report), *report.get("warnings", [])],
     )
+    bounces = None
+    if plan.bounces is not None:
+        bounces = {name: value for name, value in asdict(plan.bounces).items() if name != "blocks"}
     header = {
         "bake": settings.bake.model_dump(mode="json"),
+        "bounces": bounces,
         "parts": [
             {"name": name, "material": spec, "occluders": list(part.occluders)}
             for name, spec, part in zip(names, specs, plan.parts, strict=True)
@@ -173,6 +181,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             "seed": args["seed"],
             "versions": versions(),
             "effects": [decision.to_dict() for decision in effects],
+            "interreflection": bounces,
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
@@ -319,6 +328,9 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 material=part["material"],
                 areas=scene.areas[start:stop],
                 n_terms=factorisation.n_terms,
+                n_channels=1
+                if planned.header["bounces"] is None
+                else planned.header["bounces"]["n_channels"],
                 albedo=factorisation.albedo,
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
                 albedo_texture=planned.albedo_texture if index == 0 else None,

@@ -104,7 +104,7 @@ def _scene(
     )
     stages = set(plan.seconds)
     if isinstance(request, BakeRequest):
-        stages &= {"plan", "bake"}
+        stages &= {"plan", "bake", "bounces"}
     seconds = {name: plan.seconds[name] for name in plan.seconds if name in stages}
     return Estimate(
         plan=plan.to_dict(),

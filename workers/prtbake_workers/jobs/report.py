@@ -6,6 +6,7 @@ from typing import Any
 from prtbake_storage.blobs.base import referenced_digests
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
+from prtbake_workers.jobs import bounce
 from prtbake_workers.report.account import (
     StageAccount,
     make_report,
@@ -40,6 +41,8 @@ def gather(title: str, results: Results) -> dict[str, Any]:
             {name: tile[name] for name in TILE_FIGURES}
             for tile in results.get("bake", [])
         ],
+        # every block traces the same rays: those of one are told
+        "bounce_counters": results["bounces"][0]["counters"] if results.get("bounces") else {},
         "compressed": [
             {
                 name: part[name]
@@ -54,6 +57,8 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
         "numerics": _numerics(results),
+        "bounces": bounce.account(results, plan) if plan else None,
+        "bounce_notes": bounce.notes(results, plan) if plan else [],
         "light_notes": results["fit_light"][0]["notes"] if "fit_light" in results else [],
         "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
         "sizes": {
@@ -85,6 +90,8 @@ def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> 
         errors |= result.get("errors", {})
     if name == "bake" and plan is not None:
         errors = projection_errors(plan["parts"], results["bake"])
+    if name == "bounces":
+        errors = bounce.errors(results)
     return {
         "name": name,
         "tiles": len(results[name]),
@@ -103,9 +110,11 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     for tile in args["tiles"]:
         for name, value in tile["counters"].items():
             counters[name] = counters.get(name, 0) + value
+    counters |= args["bounce_counters"]
     notes = list(plan["notes"])
     for part in args["compressed"]:
         notes += part["notes"]
+    notes += args["bounce_notes"]
     notes += args["light_notes"]
     notes += args["asset_notes"]
     if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
@@ -126,6 +135,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         renderer=args["renderer"],
         counters=counters,
         numerics=args["numerics"],
+        bounces=args["bounces"],
         settings=args["settings"],
         notes=notes,
     )

@@ -1,6 +1,6 @@
 """The planned scene as a file: what every tile of a bake reads."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
-from prtbake_workers.arrays import F32
+from prtbake_workers.arrays import F32, Float32
 from prtbake_workers.basis.projection import SrbfProjection
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.albedo import Albedo
 
 SUBDIVISIONS = {12: 0, 42: 1, 162: 2, 642: 3, 2562: 4, 10242: 5}
 _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_face")
@@ -25,8 +26,8 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 class PlannedScene:
     """Geometry, factorised materials and the plan's header.
 
-    ``header`` holds ``bake`` (settings), ``parts`` (name, material, occluders, vertex range),
-    ``provenance``.
+    ``header`` holds ``bake`` (settings), ``parts`` (name, material, occluders), ``bounces`` (their
+    channels; None where none is simulated), ``provenance``.
     """
 
     scene: Scene
@@ -38,9 +39,34 @@ class PlannedScene:
         """Make the SRBF basis of the bake settings."""
         return make_basis(self.header["bake"])
 
+    def reflection(self) -> tuple[tuple[Factorisation, ...], Albedo]:
+        """Give what light that surfaces send to each other is multiplied by, in its channels.
+
+        Factorisations, and the albedo beside them: see `BounceGather`.  Without channels of their
+        own colours share their mean.
+        """
+        factorisations, albedo = reflection_of(self.scene, self.factorisations, self.albedo_texture)
+        if self.header["bounces"]["n_channels"] == 3:
+            return factorisations, albedo
+        return tuple(own.greyed() for own in factorisations), albedo.greyed()
+
     def occluders(self, part: int) -> Accelerator | None:
         """Make the accelerator of the triangles that may block light on its way to a part."""
         return occluder_accelerator(self.scene, self.header["parts"][part]["occluders"])
+
+
+def reflection_of(
+    scene: Scene,
+    factorisations: Sequence[Factorisation],
+    texture: Float32[F32, "height width 3"] | None,
+) -> tuple[tuple[Factorisation, ...], Albedo]:
+    """Pair factorisations with the albedo beside them; the texture is that of the first part."""
+    albedo = Albedo.of_parts(
+        scene,
+        [own.albedo.astype(np.float64) for own in factorisations],
+        [texture, *[None] * (len(factorisations) - 1)],
+    )
+    return tuple(factorisations), albedo
 
 
 def make_basis(bake: Mapping[str, Any]) -> SrbfBasis:

@@ -7,11 +7,17 @@ job gives what its stages really took, so a reader can see how far the model was
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from prtbake_storage.contract.settings import BakeSettings, FitLightSettings, ValidateSettings
+from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.presets import PartCompression
 
 RAYS_PER_SECOND = 5.0e6
 FLOPS_PER_SECOND = 4.0e10
+BOUNCE_RAYS_PER_SECOND = 5.0e5
+"""Rays whose hits are turned into rows of a sparse matrix."""
+SPARSE_FLOPS_PER_SECOND = 2.0e9
 TRANSFER_SAMPLES_PER_SECOND = 1.5e8
 """Products psi * V * cos built for the projection, one term of one direction each."""
 GZIP_BYTES_PER_SECOND = 3.0e7
@@ -44,13 +50,16 @@ def bake_seconds_per_vertex(settings: BakeSettings, *, n_terms: int, shadows: bo
     )
 
 
-def tile_vertices(settings: BakeSettings, *, n_terms: int, shadows: bool, chunk: int) -> int:
+def tile_vertices(
+    settings: BakeSettings, *, n_terms: int, shadows: bool, chunk: int, n_channels: int = 1
+) -> int:
     """Choose vertices a tile: about TILE_SECONDS of work, bounded memory, whole chunks."""
     if settings.tile_vertices is not None:
         wanted = float(settings.tile_vertices)
     else:
         seconds = bake_seconds_per_vertex(settings, n_terms=n_terms, shadows=shadows)
-        wanted = min(TILE_SECONDS / seconds, TILE_BYTES / (4 * n_terms * settings.n_centres), 16384)
+        vertex_bytes = 4 * n_channels * n_terms * settings.n_centres
+        wanted = min(TILE_SECONDS / seconds, TILE_BYTES / vertex_bytes, 16384)
     return chunk * max(1, int(wanted // chunk))
 
 
@@ -95,6 +104,29 @@ def part_cost(
         asset_bytes=2 * floats,
         compress_memory_bytes=memory,
     )
+
+
+def bounce_seconds(
+    scene: Scene,
+    part_terms: Sequence[int],
+    *,
+    bounces: int,
+    n_rays: int,
+    hit_share: float,
+    n_channels: int,
+    n_coeffs: int,
+    n_blocks: int,
+) -> float:
+    """Predict the seconds of all bounces: rays once a block, sparse and dense products a bounce."""
+    verts = np.array([stop - start for start, stop in scene.part_ranges])
+    terms = np.array(part_terms)
+    rays = float(verts.sum()) * n_rays
+    # every hit reads three corners of a part whose terms are taken to be the mean ones
+    mean_terms = float(verts @ terms) / float(verts.sum())
+    sparse = 2.0 * hit_share * rays * 3.0 * mean_terms * n_coeffs / SPARSE_FLOPS_PER_SECOND
+    dense = 2.0 * float(verts @ terms) * n_rays * n_coeffs / FLOPS_PER_SECOND
+    traced = n_blocks * (CHILD_START_S + rays / BOUNCE_RAYS_PER_SECOND)
+    return traced + n_channels * bounces * (sparse + dense)
 
 
 def compress_seconds(costs: Sequence[PartCost]) -> float:

@@ -6,13 +6,11 @@ sparse probe of rays weighted with the part's own transfer.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
-from prtbake_storage.contract.settings import Effects, Switch
-from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_storage.contract.settings import BakeSettings, Effects, Switch
+from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
 from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
@@ -20,30 +18,16 @@ from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.topology import count_components, find_edges
+from prtbake_workers.planning.decision import Decision, settle
+from prtbake_workers.planning.interreflection import decide_bounces
+from prtbake_workers.planning.probe import draw_by_area
+from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.surface import OpaqueSurface
 
 PROBE_VERTICES = 512
 PROBE_RAYS = 64
 CONVEX_TOLERANCE = 1e-6
 """Height above a face's plane, in diagonals, that still counts as in it (float32 positions)."""
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One effect: taken or left, by whom, and what the other way would have cost.
-
-    ``predicted_error`` is a squared-error ratio in radiance norm, None where no estimate exists.
-    """
-
-    effect: str
-    taken: bool
-    forced: bool
-    reason: str
-    evidence: dict[str, Any]
-    predicted_error_otherwise: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give the decision as JSON."""
-        return asdict(self)
 
 
 def convexity_defect(mesh: Mesh) -> float:
@@ -87,7 +71,7 @@ def probe_occlusion(
     rng = np.random.default_rng(seed)
     start, stop = scene.part_ranges[part]
     count = min(PROBE_VERTICES, stop - start)
-    chosen = start + _by_area(scene.areas[start:stop], count, rng)
+    chosen = start + draw_by_area(scene.areas[start:stop], count, rng)
     local, cosine = _cosine_directions(rng, count)
     frames = tangent_frames(scene.normals[chosen])
     world = np.einsum("vij,vri->vrj", frames, local).reshape(-1, 3).astype(np.float32)
@@ -100,18 +84,6 @@ def probe_occlusion(
     kept = float((weight * ~blocked).sum())
     ratio = lost / kept if kept > 0 else (1.0 if lost > 0 else 0.0)
     return ratio, float(blocked.mean()), int(blocked.size)
-
-
-def _by_area(
-    areas: Float64[F64, " verts"], count: int, rng: np.random.Generator
-) -> Int64[I64, " count"]:
-    """Draw vertices with a probability proportional to their areas, evenly spread (systematic)."""
-    cumulative = np.cumsum(np.maximum(areas, 0.0))
-    if not cumulative[-1] > 0.0:
-        return np.arange(count)
-    at = (np.arange(count) + rng.random()) / count * cumulative[-1]
-    found = np.searchsorted(cumulative, at, side="right")
-    return np.asarray(np.minimum(found, len(areas) - 1), np.int64)
 
 
 def _cosine_directions(
@@ -129,11 +101,16 @@ def decide_effects(
     accelerator: Accelerator,
     *,
     factorisations: Sequence[Factorisation],
+    albedo: Albedo,
     watertight: bool,
+    bake: BakeSettings,
     requested: Effects,
     seed: int,
 ) -> list[Decision]:
-    """Decide effect by effect for an object (part 0) and, where there is one, its receiver."""
+    """Decide effect by effect for an object (part 0) and, where there is one, its receiver.
+
+    ``albedo`` is what multiplies the light that each point sends, see `BounceGather`.
+    """
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
         _self_shadowing(
@@ -151,23 +128,26 @@ def decide_effects(
             evidence={"terms": part_terms},
         ),
     ]
-    decisions += [
+    decisions += decide_bounces(
+        scene,
+        OpaqueSurface(scene, accelerator),
+        factorisations,
+        albedo,
+        bake,
+        requested,
+        seed=seed + 3,
+    )
+    decisions.append(
         Decision(
-            effect=name,
+            effect="subsurface_scattering",
             taken=False,
             forced=False,
             reason="not simulated by this version: reference and asset both leave it out, so the "
             "error budget does not hold it",
             evidence={},
         )
-        for name in ("interreflection", "colour_bleeding", "subsurface_scattering")
-    ]
+    )
     return decisions
-
-
-def _settle(switch: Switch, called_for: bool) -> tuple[bool, bool]:
-    """Return (taken, forced)."""
-    return (called_for, False) if switch == "auto" else (switch == "on", True)
 
 
 def _self_shadowing(
@@ -182,7 +162,7 @@ def _self_shadowing(
     own = Accelerator(mesh.positions, mesh.faces)
     ratio, share, rays = probe_occlusion(scene, own, 0, factorisation, seed=seed)
     convex = watertight and defect <= CONVEX_TOLERANCE and share == 0.0
-    taken, forced = _settle(switch, not convex)
+    taken, forced = settle(switch, not convex)
     reason = (
         "a closed convex mesh cannot shadow itself: no ray is needed"
         if convex
@@ -219,7 +199,7 @@ def _receiver_shadows(
     below, from_object, more = probe_occlusion(scene, plane, 0, own, seed=seed + 2)
     # a sparse probe can miss a small object on a wide plane: that a ray is blocked settles it,
     # that none is does not, so a receiver always gets its shadows unless forced off
-    taken, forced = _settle(switch, True)
+    taken, forced = settle(switch, True)
     reason = (
         f"{100 * share:.1f} % of the probe rays from the receiver are blocked, and the receiver "
         f"blocks {100 * from_object:.1f} % of the object's"

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
+from math import ceil, log
 from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
@@ -11,6 +13,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     PartCost,
+    bounce_seconds,
     compress_memory_bytes,
     compress_seconds,
     fit_seconds,
@@ -18,11 +21,14 @@ from prtbake_workers.planning.cost import (
     tile_vertices,
     validate_seconds,
 )
-from prtbake_workers.planning.effects import Decision
+from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.presets import PartCompression, StageSettings, resolve_compression
 
 DIRECTIONS_A_CENTRE = 2.5
 """With fewer the sampled Gram matrix is off the identity by more than 0.05 (RMS over the basis)."""
+
+BLOCK_BYTES = 256 << 20
+"""Transfer of all vertices in one block of bounced coefficients; a task holds it four times."""
 
 MOST_BANDWIDTH = 10.0
 """Largest bandwidth in defaults: amid three centres every function has sunk to 7 % of its peak (to
@@ -46,11 +52,27 @@ class PartPlan:
 
 
 @dataclass(frozen=True)
+class BouncePlan:
+    """How light that surfaces send to each other is simulated.
+
+    ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
+    has bounces of its own.
+    """
+
+    n_channels: int
+    n_rays: int
+    max_bounces: int
+    tolerance: float
+    blocks: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
 class Plan:
     """All that was decided before the first ray of the bake."""
 
     parts: tuple[PartPlan, ...]
     effects: tuple[Decision, ...]
+    bounces: BouncePlan | None
     seconds: dict[str, float]
     artefact_bytes: dict[str, int]
     peak_memory_bytes: int
@@ -98,6 +120,38 @@ def resolution_notes(bake: BakeSettings) -> list[str]:
     ]
 
 
+def plan_bounces(
+    scene: Scene, part_terms: list[int], effects: list[Decision], bake: BakeSettings
+) -> BouncePlan | None:
+    """Cut the coefficients into blocks of about `BLOCK_BYTES`, at least two where there are two."""
+    taken = {decision.effect: decision.taken for decision in effects}
+    if not taken["interreflection"]:
+        return None
+    n_channels = 3 if taken["colour_bleeding"] else 1
+    rows = sum(
+        (stop - start) * n_terms
+        for (start, stop), n_terms in zip(scene.part_ranges, part_terms, strict=True)
+    )
+    fitting = max(1, BLOCK_BYTES // (4 * n_channels * rows))
+    n_blocks = max(min(2, bake.n_centres), -(-bake.n_centres // fitting))
+    edges = [round(i * bake.n_centres / n_blocks) for i in range(n_blocks + 1)]
+    return BouncePlan(
+        n_channels=n_channels,
+        n_rays=bake.bounce_rays,
+        max_bounces=bake.max_bounces,
+        tolerance=bake.bounce_tolerance,
+        blocks=tuple(pairwise(edges)),
+    )
+
+
+def expected_bounces(decided: Decision, bounces: BouncePlan) -> int:
+    """Predict how many bounces the tolerance asks for, from what the first one adds."""
+    share = decided.evidence["first_bounce_share"]
+    if not 0.0 < share < 1.0 or bounces.tolerance == 0.0:
+        return bounces.max_bounces
+    return min(bounces.max_bounces, max(1, ceil(log(bounces.tolerance) / log(share))))
+
+
 def make_plan(
     scene: Scene,
     names: list[str],
@@ -113,6 +167,8 @@ def make_plan(
 
     ``chunk_vertices(n_terms, n_coeffs)`` gives the vertices that tiles must hold multiples of.
     """
+    bounces = plan_bounces(scene, part_terms, effects, settings.bake)
+    n_channels = 1 if bounces is None else bounces.n_channels
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
         start, stop = scene.part_ranges[index]
@@ -123,12 +179,14 @@ def make_plan(
             n_verts=stop - start,
             n_terms=n_terms,
             n_coeffs=settings.bake.n_centres,
+            n_channels=n_channels,
         )
         size = tile_vertices(
             settings.bake,
             n_terms=n_terms,
             shadows=bool(occluders),
-            chunk=chunk_vertices(n_terms, settings.bake.n_centres),
+            chunk=chunk_vertices(n_channels * n_terms, settings.bake.n_centres),
+            n_channels=n_channels,
         )
         parts.append(
             PartPlan(
@@ -145,6 +203,7 @@ def make_plan(
                     n_terms=n_terms,
                     shadows=bool(occluders),
                     iterations=settings.compress.max_iterations,
+                    n_channels=n_channels,
                 ),
             )
         )
@@ -161,9 +220,22 @@ def make_plan(
             n_dirs=3 * settings.bake.cube_resolution**2,
         ),
     }
+    if bounces is not None:
+        (decided,) = (one for one in effects if one.effect == "interreflection")
+        seconds["bounces"] = bounce_seconds(
+            scene,
+            part_terms,
+            bounces=expected_bounces(decided, bounces),
+            n_rays=bounces.n_rays,
+            hit_share=decided.evidence["hit_share"],
+            n_channels=n_channels,
+            n_coeffs=settings.bake.n_centres,
+            n_blocks=len(bounces.blocks),
+        )
     return Plan(
         parts=tuple(parts),
         effects=tuple(effects),
+        bounces=bounces,
         seconds=seconds,
         artefact_bytes={
             "transfer.h5": sum(part.cost.transfer_bytes for part in parts),

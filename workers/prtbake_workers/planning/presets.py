@@ -71,7 +71,14 @@ class Step:
 
 LADDER: dict[Quality, Step] = {
     "draft": Step(
-        bake={"cube_resolution": 16, "n_centres": 162, "term_energy_lost": 0.05},
+        bake={
+            "cube_resolution": 16,
+            "n_centres": 162,
+            "term_energy_lost": 0.05,
+            "bounce_rays": 32,
+            "max_bounces": 3,
+            "bounce_tolerance": 4e-3,
+        },
         compress={"max_iterations": 4},
         fit_light={"n_lobes": 32, "max_iterations": 2},
         validation={"width": 128, "height": 96, "passes": 4, "samples": 128},
@@ -80,7 +87,14 @@ LADDER: dict[Quality, Step] = {
         n_components=8,
     ),
     "low": Step(
-        bake={"cube_resolution": 16, "n_centres": 162, "term_energy_lost": 0.02},
+        bake={
+            "cube_resolution": 16,
+            "n_centres": 162,
+            "term_energy_lost": 0.02,
+            "bounce_rays": 32,
+            "max_bounces": 4,
+            "bounce_tolerance": 2e-3,
+        },
         compress={"max_iterations": 6},
         fit_light={"n_lobes": 64, "max_iterations": 3},
         validation={"width": 160, "height": 120, "passes": 8, "samples": 128},
@@ -89,7 +103,14 @@ LADDER: dict[Quality, Step] = {
         n_components=12,
     ),
     "medium": Step(
-        bake={"cube_resolution": 32, "n_centres": 642, "term_energy_lost": 0.01},
+        bake={
+            "cube_resolution": 32,
+            "n_centres": 642,
+            "term_energy_lost": 0.01,
+            "bounce_rays": 64,
+            "max_bounces": 6,
+            "bounce_tolerance": 1e-3,
+        },
         compress={"max_iterations": 8},
         fit_light={"n_lobes": 162, "max_iterations": 4},
         validation={"width": 192, "height": 144, "passes": 8, "samples": 128},
@@ -103,6 +124,9 @@ LADDER: dict[Quality, Step] = {
             "supersample": 2,
             "n_centres": 642,
             "term_energy_lost": 0.004,
+            "bounce_rays": 128,
+            "max_bounces": 8,
+            "bounce_tolerance": 3e-4,
         },
         compress={"max_iterations": 12},
         fit_light={"n_lobes": 256, "max_iterations": 6},
@@ -117,6 +141,9 @@ LADDER: dict[Quality, Step] = {
             "supersample": 2,
             "n_centres": 2562,
             "term_energy_lost": 0.002,
+            "bounce_rays": 256,
+            "max_bounces": 12,
+            "bounce_tolerance": 1e-4,
         },
         compress={"max_iterations": 16},
         fit_light={"n_lobes": 400, "max_iterations": 8},

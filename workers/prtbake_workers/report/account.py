@@ -109,6 +109,7 @@ def make_report(
     renderer: Mapping[str, Any] | None = None,
     counters: Mapping[str, int | float] | None = None,
     numerics: Mapping[str, Any] | None = None,
+    bounces: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""
@@ -141,6 +142,7 @@ def make_report(
         "peak_memory_bytes": peak,
         "parts": list(parts),
         "effects": list(effects),
+        "bounces": dict(bounces) if bounces else None,
         "budget": budget,
         "views": [
             {name: view[name] for name in ("picture", "hits", "budget", "metrics", "exposure")}

@@ -1,12 +1,14 @@
 """What surfaces reflect of the light that falls on them, at any point that a ray hits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F64, I32, I64, Float64, Int32, Int64
+from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32, Int64
+from prtbake_workers.geometry.scene import Scene
 
 AlbedoAt = Callable[[Int64[I64, " hits"], Float64[F64, "hits 3"]], Float64[F64, "hits channels"]]
 """Triangles and barycentrics to linear albedo, e.g. a texture looked up through the UVs."""
@@ -65,6 +67,52 @@ class Albedo:
             return np.asarray(np.einsum("hc,hck->hk", barycentrics, grey[faces[triangles]]))
 
         return cls(at, grey.max(axis=0, initial=0.0))
+
+    @classmethod
+    def of_parts(
+        cls,
+        scene: Scene,
+        values: Sequence[Float64[F64, " channels"]],
+        textures: Sequence[Float32[F32, "height width 3"] | None],
+    ) -> "Albedo":
+        """Give every part an albedo and, where it has one, a texture that multiplies it.
+
+        Textures are read at the scene's texture coordinates, as the decoder does.  Three channels
+        that are everywhere equal become one.
+        """
+        rows = np.stack([np.broadcast_to(np.asarray(value, np.float64), 3) for value in values])
+        maximum = np.stack(
+            [
+                row if texture is None else row * texture.max(axis=(0, 1))
+                for row, texture in zip(rows, textures, strict=True)
+            ]
+        ).max(axis=0, initial=0.0)
+        grey = bool((rows == rows[:, :1]).all()) and all(
+            texture is None or bool((texture == texture[..., :1]).all()) for texture in textures
+        )
+        n_channels = 1 if grey else 3
+
+        def at(triangles: I64, barycentrics: F64) -> F64:
+            parts = scene.part_of_face[triangles]
+            albedo = rows[parts]
+            for part, texture in enumerate(textures):
+                own = np.flatnonzero(parts == part)
+                if texture is not None and scene.uv is not None and len(own):
+                    corners = scene.uv[scene.faces[triangles[own]]]
+                    uv = np.einsum("hc,hci->hi", barycentrics[own], corners)
+                    albedo[own] *= lookup_repeating(texture, uv)
+            return albedo[:, :n_channels]
+
+        return cls(at, maximum[:n_channels])
+
+    def greyed(self) -> "Albedo":
+        """Replace three channels by their mean."""
+        if self.n_channels == 1:
+            return self
+        return Albedo(
+            lambda triangles, weights: self.at(triangles, weights).mean(axis=1, keepdims=True),
+            self.maximum.max(keepdims=True),
+        )
 
     @property
     def n_channels(self) -> int:

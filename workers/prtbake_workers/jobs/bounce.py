@@ -1,0 +1,226 @@
+"""Stages ``bounces`` and ``add_bounces`` of a bake: light that surfaces send to each other.
+
+Coefficients do not mix, so a task makes all bounces of some coefficients for the whole scene; what
+they add is then laid over the tiles of direct transfer, vertex block by vertex block.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from prtbake_storage.hdf5.bounces import Packed, read_bounces, read_transfer_tile, write_bounces
+from prtbake_storage.hdf5.transfer import write_transfer_tile
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.jobs.scene_file import read_scene
+from prtbake_workers.transport.bounces import bounce_block
+from prtbake_workers.transport.quantise import quantise_transfer
+from prtbake_workers.transport.surface import OpaqueSurface
+
+_MODULE = "prtbake_workers.jobs.bounce"
+
+
+def stages() -> list[Stage]:
+    """Bounce blocks of coefficients, then lay them over the tiles; no task where none is taken."""
+
+    def bounce(results: Results) -> list[Task]:
+        (planned,) = results["plan"]
+        bounces = planned["plan"]["bounces"]
+        if bounces is None:
+            return []
+        args = {
+            "scene": planned["scene"],
+            "tiles": grouped_tiles(results, "bake"),
+            "n_rays": bounces["n_rays"],
+            "max_bounces": bounces["max_bounces"],
+            "tolerance": bounces["tolerance"],
+        }
+        return [
+            Task(
+                f"{_MODULE}:run_block",
+                {**args, "columns": block},
+                label=f"coefficients {block[0]}-{block[1]}",
+            )
+            for block in bounces["blocks"]
+        ]
+
+    def add(results: Results) -> list[Task]:
+        (planned,) = results["plan"]
+        bounces = planned["plan"]["bounces"]
+        if bounces is None:
+            return []
+        blocks = [
+            {"columns": columns, "bounces": block["bounces"]}
+            for columns, block in zip(bounces["blocks"], results["bounces"], strict=True)
+        ]
+        tiles = grouped_tiles(results, "bake")
+        return [
+            Task(
+                f"{_MODULE}:add_bounces",
+                {
+                    "scene": planned["scene"],
+                    "part": index,
+                    "start": start,
+                    "stop": stop,
+                    "tile": tile,
+                    "blocks": blocks,
+                    "n_channels": bounces["n_channels"],
+                },
+                label=f"{part['name']} {start}-{stop}",
+            )
+            for index, part in enumerate(planned["plan"]["parts"])
+            for (start, stop), tile in zip(part["tiles"], tiles[index], strict=True)
+        ]
+
+    return [
+        Stage("bounces", "blocks", 20.0, bounce),
+        Stage("add_bounces", "tiles", 5.0, add),
+    ]
+
+
+def grouped_tiles(results: Results, stage: str) -> list[list[str]]:
+    """List the digests of a stage's tiles, part by part."""
+    done = iter(results[stage])
+    parts = results["plan"][0]["plan"]["parts"]
+    return [[next(done)["tile"] for _ in part["tiles"]] for part in parts]
+
+
+def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: all bounces of a block of coefficients."""
+    planned = read_scene(context.store.local_path(args["scene"]))
+    scene = planned.scene
+    start, stop = args["columns"]
+    direct = [
+        np.concatenate(
+            [
+                read_transfer_tile(context.store.local_path(tile), slice(start, stop))[0]
+                for tile in tiles
+            ]
+        )
+        for tiles in args["tiles"]
+    ]
+    factorisations, albedo = planned.reflection()
+    block = bounce_block(
+        OpaqueSurface(scene, Accelerator(scene.positions, scene.faces, robust=True)),
+        direct,
+        factorisations=factorisations,
+        albedo=albedo,
+        n_channels=planned.header["bounces"]["n_channels"],
+        n_rays=args["n_rays"],
+        seed=planned.header["provenance"]["seed"],
+        max_bounces=args["max_bounces"],
+        tolerance=args["tolerance"],
+        progress=lambda done, total: context.progress(done, total, "bounces"),
+    )
+    packed, rounding = [], 0.0
+    for (first, last), added in zip(scene.part_ranges, block.added, strict=True):
+        rows = quantise_transfer(added.reshape(len(added), -1, added.shape[3]))
+        rounding += float(scene.areas[first:last] @ rows.squared_error)
+        packed.append(Packed(rows.values, rows.scale))
+    path = context.scratch / "bounces.h5"
+    write_bounces(path, packed)
+    return {
+        "bounces": context.store.put_file(path, move=True),
+        "direct": block.direct_energy,
+        "total": block.total_energy,
+        "energies": list(block.bounce_energies),
+        "left_out": block.remainder_energy,
+        "is_bound": block.is_bound,
+        "noise": block.noise_energy,
+        "rounding": rounding,
+        # rays are the same in every block: each reports those it traced
+        "counters": block.counters,
+    }
+
+
+def add_bounces(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: lay the bounces over a tile of direct transfer."""
+    planned = read_scene(context.store.local_path(args["scene"]))
+    direct, energies = read_transfer_tile(context.store.local_path(args["tile"]))
+    n_channels = args["n_channels"]
+    first = planned.scene.part_ranges[args["part"]][0]
+    span = args["start"] - first, args["stop"] - first
+    total = np.tile(direct, (1, n_channels, 1))
+    for block in args["blocks"]:
+        columns = slice(*block["columns"])
+        path = context.store.local_path(block["bounces"])
+        total[:, :, columns] += read_bounces(path, args["part"], *span)
+    packed = quantise_transfer(total)
+    # what the projection lost is direct light's, once a channel
+    gained = _energy(total) - n_channels * _energy(direct)
+    signal = n_channels * energies.signal + gained
+    residual = n_channels * energies.residual
+    path = context.scratch / "tile.h5"
+    write_transfer_tile(
+        path, packed.values, scale=packed.scale, signal_energy=signal, residual_energy=residual
+    )
+    areas = planned.scene.areas[args["start"] : args["stop"]]
+    return {
+        "tile": context.store.put_file(path, move=True),
+        "signal": float(areas @ signal),
+        "rounding": float(areas @ packed.squared_error),
+    }
+
+
+def _energy(rows: Any) -> Any:
+    return np.einsum("vrc,vrc->v", rows, rows, dtype=np.float64)
+
+
+def errors(results: Results) -> dict[str, float]:
+    """Give the squared-error ratios of the bounces over the whole scene's signal.
+
+    ``left out`` bounds what comes after the last bounce where all parts are diffuse, and estimates
+    it elsewhere; ``rays`` is what their number leaves to chance.
+    """
+    blocks = results["bounces"]
+    total = sum(block["total"] for block in blocks)
+    if not total:
+        return {}
+    found = {
+        "rays": sum(block["noise"] for block in blocks) / total,
+        "16-bit": sum(block["rounding"] for block in blocks) / total,
+    }
+    if all(block["left_out"] is not None for block in blocks):
+        found["left out"] = sum(block["left_out"] for block in blocks) / total
+    return found
+
+
+def account(results: Results, plan: dict[str, Any]) -> dict[str, Any] | None:
+    """Tell what each bounce added, over the energy of the whole; None where there was none."""
+    if plan["bounces"] is None:
+        return None
+    blocks = results["bounces"]
+    total = sum(block["total"] for block in blocks) or 1.0
+    most = max((len(block["energies"]) for block in blocks), default=0)
+    return {
+        "bounces": most,
+        "channels": plan["bounces"]["n_channels"],
+        "added": [
+            sum(block["energies"][k] for block in blocks if k < len(block["energies"])) / total
+            for k in range(most)
+        ],
+        "left_out": errors(results).get("left out"),
+        "left_out_is": "a bound" if all(b["is_bound"] for b in blocks) else "an estimate",
+    }
+
+
+def notes(results: Results, plan: dict[str, Any]) -> list[str]:
+    """Say where bounces were cut before the tolerance, or nothing bounds what they leave."""
+    if plan["bounces"] is None:
+        return []
+    found, blocks = [], results["bounces"]
+    cut = [b for b in blocks if b["energies"]
+           and b["energies"][-1] > plan["bounces"]["tolerance"] * b["total"]]  # fmt: skip
+    if cut:
+        share = max(block["energies"][-1] / block["total"] for block in cut)
+        found.append(
+            f"bounces stopped at max_bounces = {plan['bounces']['max_bounces']}: the last of them "
+            f"added {share:.1e} of the energy, the tolerance is {plan['bounces']['tolerance']:.1e}"
+        )
+    if any(block["left_out"] is None for block in blocks):
+        found.append(
+            "nothing bounds what the bounces leave out: some light never gets out (albedo 1 in a "
+            "closed space)"
+        )
+    return found

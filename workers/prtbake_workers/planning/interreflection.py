@@ -1,0 +1,229 @@
+"""Whether light that surfaces send to each other matters, and whether its colours do.
+
+A sparse probe of rays follows one bounce to where its light comes from.  With T0 the direct
+transfer and T1 that of the first bounce, ``sum |T1|^2 / sum |T0|^2`` is the squared-error ratio of
+leaving it out; later bounces are taken to go on as a geometric series.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtbake_storage.contract.settings import BakeSettings, Effects, Switch
+from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_workers.basis.sh import eval_sh
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.geometry.ray_offset import offset_origins
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.decision import Decision, settle
+from prtbake_workers.planning.probe import draw_by_area
+from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.hemisphere_rays import cosine_directions
+from prtbake_workers.transport.surface import OpaqueSurface, interpolate_surface
+
+VERTICES = 256
+RAYS = 64
+"""From every probed vertex, in two halves: their product is free of the noise of either."""
+
+RAYS_AT_HIT = 8
+ORDER = 5
+"""Of the spherical harmonics that the bounced transfer is held in: it is smooth."""
+
+
+@dataclass(frozen=True)
+class BounceProbe:
+    """What one bounce brings to a part.
+
+    ``share`` is its squared norm over that of the direct transfer, ``chroma`` that of what one
+    channel in place of three would miss of it, ``hit_share`` the share of rays that meet the front
+    of a surface.
+    """
+
+    share: float
+    chroma: float
+    hit_share: float
+    n_rays: int
+
+
+def all_bounces(share: float) -> float:
+    """Continue the first bounce's share: amplitudes fall by its square root at every bounce."""
+    ratio = float(np.sqrt(max(share, 0.0)))
+    return max(share, 0.0) / (1.0 - ratio) ** 2 if ratio < 0.99 else 1e4 * share
+
+
+def probe_bounce(
+    surface: OpaqueSurface,
+    part: int,
+    factorisations: Sequence[Factorisation],
+    albedo: Albedo,
+    *,
+    seed: int,
+) -> BounceProbe:
+    """Follow one bounce backwards from vertices of a part, drawn by area.
+
+    The transfer of a bounce is ``T1_k = (pi / N) sum_i psi_k(w_i) L_i`` over cosine-distributed
+    rays; the radiance L_i that a hit sends is the mean of ``pi rho V Y`` over rays of its own.
+    """
+    scene, rng = surface.scene, np.random.default_rng(seed)
+    start, stop = scene.part_ranges[part]
+    count = min(VERTICES, stop - start)
+    chosen = start + draw_by_area(scene.areas[start:stop], count, rng)
+    local = cosine_directions(rng.random((count, RAYS, 2)))
+    world = (local @ scene.frames[chosen]).reshape(-1, 3).astype(np.float32)
+    origins = offset_origins(scene.ray_points[chosen], scene.ray_sides[chosen], surface.epsilon)
+    hits = surface.intersect(np.repeat(origins, RAYS, axis=0), world)
+    psi = factorisations[part].eval_psi(local.reshape(-1, 3))
+    free = np.ones(len(world), np.bool_)
+    free[hits.rays] = False
+    direct = 3.0 * np.pi * float(((psi**2).sum(axis=1) * local.reshape(-1, 3)[:, 2])[free].sum())
+    front = np.flatnonzero(hits.front)
+    rays, triangles = hits.rays[front], hits.triangles[front]
+    hit_share = len(front) / len(world)
+    if len(front) == 0 or albedo.is_black or direct == 0.0:
+        return BounceProbe(0.0, 0.0, hit_share, len(world))
+    sent = _sent(
+        surface, triangles, hits.barycentrics[front], -world[rays].astype(np.float64),
+        factorisations, albedo, rng,
+    )  # fmt: skip
+    # (halves, vertices, terms, channels x coefficients)
+    bounced = np.zeros((2, count, psi.shape[1], 3 * ORDER**2))
+    half, vertex = rays % 2, rays // RAYS
+    np.add.at(bounced, (half, vertex), psi[rays][:, :, None] * sent.reshape(len(rays), 1, -1))
+    bounced *= np.pi / (RAYS / 2)
+    # the direct energy was summed over rays, the bounced one over vertices
+    bounced = bounced.reshape(2, count, -1, 3, ORDER**2)
+    share = float((bounced[0] * bounced[1]).sum()) * RAYS / direct
+    grey = bounced - bounced.mean(axis=3, keepdims=True)
+    chroma = float((grey[0] * grey[1]).sum()) * RAYS / direct
+    return BounceProbe(max(share, 0.0), max(chroma, 0.0), hit_share, len(world))
+
+
+def _sent(
+    surface: OpaqueSurface,
+    triangles: Int64[I64, " hits"],
+    barycentrics: Float64[F64, "hits 3"],
+    towards: Float64[F64, "hits 3"],
+    factorisations: Sequence[Factorisation],
+    albedo: Albedo,
+    rng: np.random.Generator,
+) -> Float64[F64, "hits 3 coeffs"]:
+    """Estimate the transfer to radiance that points send towards directions."""
+    scene = surface.scene
+    points = interpolate_surface(scene, triangles, barycentrics)
+    # the frame of the corner that weighs most
+    corner = scene.faces[triangles, barycentrics.argmax(axis=1)].astype(np.int64)
+    frames = scene.frames[corner]
+    local = cosine_directions(rng.random((len(triangles), RAYS_AT_HIT, 2)))
+    world = np.einsum("hij,hri->hrj", frames, local).reshape(-1, 3)
+    origins = offset_origins(points.positions, points.side, surface.epsilon)
+    blocked = surface.accelerator.occluded(
+        np.repeat(origins, RAYS_AT_HIT, axis=0), world.astype(np.float32)
+    )
+    basis = eval_sh(ORDER, world) * ~blocked[:, None]
+    basis = basis.reshape(len(triangles), RAYS_AT_HIT, -1)
+    reflected = np.zeros((len(triangles), RAYS_AT_HIT, 3))
+    part_of_hit = scene.part_of_face[triangles]
+    wo = np.einsum("hij,hj->hi", frames, towards)
+    wo[:, 2] = np.maximum(wo[:, 2], 1e-3)
+    for part, factorisation in enumerate(factorisations):
+        own = np.flatnonzero(part_of_hit == part)
+        if len(own) == 0:
+            continue
+        psi = factorisation.eval_psi(local[own].reshape(-1, 3)).reshape(len(own), RAYS_AT_HIT, -1)
+        if factorisation.is_constant_phi:
+            reflected[own] = psi
+        else:
+            phi = factorisation.eval_phi(wo[own])
+            reflected[own] = np.einsum("hrk,hkc->hrc", psi, phi)
+    reflected *= np.pi / RAYS_AT_HIT * albedo.checked_at(triangles, barycentrics)[:, None]
+    return np.asarray(np.einsum("hrc,hrb->hcb", reflected, basis))
+
+
+def decide_bounces(
+    scene: Scene,
+    surface: OpaqueSurface,
+    factorisations: Sequence[Factorisation],
+    albedo: Albedo,
+    bake: BakeSettings,
+    requested: Effects,
+    *,
+    seed: int,
+) -> list[Decision]:
+    """Decide on interreflection and on channels of its own for each colour.
+
+    Taken where leaving it out would cost more than ``bake.bounce_tolerance`` on some part.
+    """
+    probes = [
+        probe_bounce(surface, part, factorisations, albedo, seed=seed + part)
+        for part in range(len(scene.part_ranges))
+    ]
+    share = max(all_bounces(probe.share) for probe in probes)
+    chroma = max(
+        all_bounces(probe.share) * probe.chroma / probe.share if probe.share else 0.0
+        for probe in probes
+    )
+    hit_share = max(probe.hit_share for probe in probes)
+    evidence = {
+        "probe_rays": sum(probe.n_rays for probe in probes),
+        "hit_share": hit_share,
+        "first_bounce_share": max(probe.share for probe in probes),
+        "tolerance": bake.bounce_tolerance,
+    }
+    bounces = _decision(
+        "interreflection",
+        requested.interreflection,
+        share,
+        bake.bounce_tolerance,
+        _bounce_reason(albedo, hit_share, share),
+        evidence,
+    )
+    evidence = {"chroma_share": chroma, "tolerance": bake.bounce_tolerance}
+    if not bounces.taken:
+        reason = "no bounced light is simulated, so none has a colour"
+        forced = requested.colour_bleeding != "auto"
+        return [bounces, Decision("colour_bleeding", False, forced, reason, evidence, chroma)]
+    reason = (
+        "bounced light is as grey as what it met"
+        if chroma == 0.0
+        else f"one channel for all colours would miss {chroma:.1e} of the direct light's energy"
+    )
+    colours = _decision(
+        "colour_bleeding",
+        requested.colour_bleeding,
+        chroma,
+        bake.bounce_tolerance,
+        reason,
+        evidence,
+    )
+    return [bounces, colours]
+
+
+def _bounce_reason(albedo: Albedo, hit_share: float, share: float) -> str:
+    if albedo.is_black:
+        return "every surface is black: none sends light to another"
+    if hit_share == 0.0:
+        return "no probe ray from a surface meets another"
+    return (
+        f"{100 * hit_share:.1f} % of probe rays meet a surface, and what it sends adds "
+        f"{share:.1e} to the direct light's energy"
+    )
+
+
+def _decision(
+    effect: str,
+    switch: Switch,
+    error: float,
+    tolerance: float,
+    reason: str,
+    evidence: Mapping[str, float],
+) -> Decision:
+    taken, forced = settle(switch, error > tolerance)
+    return Decision(
+        effect=effect,
+        taken=taken,
+        forced=forced,
+        reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
+        evidence=dict(evidence),
+        predicted_error_otherwise=error,
+    )
