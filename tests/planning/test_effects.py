@@ -139,7 +139,8 @@ def test_a_small_object_on_a_wide_plane_keeps_its_shadows():
         scene = Scene.from_parts([ball, plane])
         found = decide_effects(
             [ball, plane], scene, Accelerator(scene.positions, scene.faces),
-            factorisations=[DIFFUSE, DIFFUSE], watertight=True, requested=Effects(), seed=seed,
+            factorisations=[DIFFUSE, DIFFUSE], albedo=Albedo.constant(0.5), watertight=True,
+            bake=BakeSettings(), requested=Effects(), seed=seed,
         )  # fmt: skip
         decision = next(d for d in found if d.effect == "receiver_shadows")
         assert decision.taken

@@ -7,7 +7,8 @@ from prtbake_workers.basis.srbf import SrbfBasis, default_bandwidth
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.effects import Decision
+from prtbake_workers.planning import plan as plan_module
+from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.plan import MOST_BANDWIDTH, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import LADDER, resolve_stages
 from prtbake_workers.transport.directions import cube_directions
@@ -15,10 +16,15 @@ from prtbake_workers.transport.directions import cube_directions
 CHUNK = 32
 
 
-def plan_of(settings, terms):
+def plan_of(settings, terms, *, share=0.0, coloured=False):
     scene = Scene.from_parts([sphere_mesh(3)])
-    effects = [Decision("self_shadowing", True, False, "", {}),
-               Decision("receiver_shadows", False, False, "", {})]  # fmt: skip
+    effects = [
+        Decision("self_shadowing", True, False, "", {}),
+        Decision("receiver_shadows", False, False, "", {}),
+        Decision("interreflection", share > 0.0, False, "",
+                 {"first_bounce_share": share, "hit_share": 0.3}),
+        Decision("colour_bleeding", coloured, False, "", {}),
+    ]  # fmt: skip
     return scene, make_plan(
         scene, ["object"], [terms], effects, settings, "medium",
         chunk_vertices=lambda *_: CHUNK, notes=[],
@@ -48,6 +54,29 @@ def test_predictions_grow_with_what_they_predict():
     assert high.parts[0].cost.bake_seconds > low.parts[0].cost.bake_seconds
     assert high.artefact_bytes["transfer.h5"] > low.artefact_bytes["transfer.h5"]
     assert high.peak_memory_bytes > low.peak_memory_bytes
+
+
+def test_blocks_of_bounced_coefficients_cover_all_of_them_within_their_memory(monkeypatch):
+    settings = resolve_stages("medium", AssetSettings())
+    assert plan_of(settings, 4)[1].bounces is None
+    for terms, coloured, least in ((1, False, 2), (4, True, 5)):
+        monkeypatch.setattr(plan_module, "BLOCK_BYTES", 4 << 20)
+        scene, plan = plan_of(settings, terms, share=0.1, coloured=coloured)
+        blocks = plan.bounces.blocks
+        assert blocks[0][0] == 0
+        assert blocks[-1][1] == 642
+        assert [start for start, _ in blocks[1:]] == [stop for _, stop in blocks[:-1]]
+        assert len(blocks) >= least
+        widest = max(stop - start for start, stop in blocks)
+        assert 4 * scene.n_vertices * terms * (3 if coloured else 1) * (widest - 1) <= 4 << 20
+        assert plan.seconds["bounces"] > 0.0
+
+
+def test_more_channels_mean_more_bytes_and_smaller_tiles():
+    settings = resolve_stages("medium", AssetSettings())
+    grey, coloured = (plan_of(settings, 4, share=0.1, coloured=c)[1] for c in (False, True))
+    assert coloured.artefact_bytes["transfer.h5"] == 3 * grey.artefact_bytes["transfer.h5"]
+    assert coloured.seconds["bounces"] > grey.seconds["bounces"]
 
 
 @pytest.mark.parametrize("n_centres", [42, 162, 642])

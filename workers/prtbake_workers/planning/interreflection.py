@@ -94,8 +94,10 @@ def probe_bounce(
     # the direct energy was summed over rays, the bounced one over vertices
     bounced = bounced.reshape(2, count, -1, 3, ORDER**2)
     share = float((bounced[0] * bounced[1]).sum()) * RAYS / direct
-    grey = bounced - bounced.mean(axis=3, keepdims=True)
-    chroma = float((grey[0] * grey[1]).sum()) * RAYS / direct
+    chroma = 0.0
+    if max(albedo.n_channels, *(own.n_channels for own in factorisations)) > 1:
+        beside = bounced - bounced.mean(axis=3, keepdims=True)
+        chroma = float((beside[0] * beside[1]).sum()) * RAYS / direct
     return BounceProbe(max(share, 0.0), max(chroma, 0.0), hit_share, len(world))
 
 
@@ -216,7 +218,7 @@ def _decision(
     error: float,
     tolerance: float,
     reason: str,
-    evidence: Mapping[str, float],
+    evidence: Mapping[str, float | int],
 ) -> Decision:
     taken, forced = settle(switch, error > tolerance)
     return Decision(
