@@ -156,7 +156,7 @@ def with_channels(scene: Scene, n_channels: int, n_terms: int) -> TransferHeader
 
 
 def coloured_tiles(scene: Scene, folder: Path) -> list[list[Path]]:
-    """The scene's terms in red, green and blue: CHUNK vertices of 4 rows are 2 chunks of 12."""
+    """The scene's terms in red, green and blue: a chunk of 4 rows a vertex is 4 of 12."""
     scene.coefficients = [
         np.concatenate([c, 0.5 * c, 0.25 * c[:, ::-1]], axis=1) for c in scene.coefficients
     ]
