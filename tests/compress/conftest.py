@@ -26,6 +26,25 @@ def glossy() -> NDArray[np.float32]:
     return transfer
 
 
+def _in_three_channels(transfer: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(verts, 3 * terms, coeffs): by falling factors, each with noise of 5 % of the root mean square."""
+    rng = np.random.default_rng(7)
+    size = 0.05 * np.sqrt(np.mean(transfer.astype(float) ** 2))
+    channels = [
+        factor * transfer + size * rng.standard_normal(transfer.shape)
+        for factor in (1.0, 0.5, 0.25)
+    ]
+    rows = np.concatenate(channels, axis=1).astype(np.float32)
+    rows.flags.writeable = False
+    return rows
+
+
+@pytest.fixture(scope="session")
+def coloured(glossy: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(600, 27, 81): ``glossy`` in red, green and blue, row c * 9 + k."""
+    return _in_three_channels(glossy)
+
+
 @pytest.fixture(scope="session")
 def diffuse(glossy: NDArray[np.float32]) -> NDArray[np.float32]:
     """(600, 81): the first term of ``glossy``."""

@@ -71,6 +71,20 @@ def test_areas_as_weights_serve_the_large_vertices(diffuse):
     assert total < 0.95 * np.sum(weights * plain.squared_error_per_vertex)
 
 
+def test_three_equal_channels_are_one(diffuse):
+    """One set of weights: channels in a row are one longer signal."""
+    one = compress_cpca(diffuse, 6, 4, seed=3)
+    three = compress_cpca(np.tile(diffuse, (1, 3)), 6, 4, seed=3)
+    assert three.components.shape == (6, 4, 3 * diffuse.shape[1])
+    np.testing.assert_array_equal(three.labels, one.labels)
+    # the same sums three times over; what rounds otherwise is amplified by the gaps of the spectra
+    expected = one.reconstruct()
+    atol = 1e-5 * np.abs(expected).max()
+    for rows in np.split(three.reconstruct(), 3, axis=1):
+        np.testing.assert_allclose(rows, expected, rtol=0, atol=atol)
+    assert three.objective == pytest.approx([3.0 * value for value in one.objective], rel=1e-4)
+
+
 def test_same_seed_same_bytes(diffuse):
     first, again = (compress_cpca(diffuse, 6, 4, seed=3) for _ in range(2))
     for name in ("means", "components", "weights", "labels"):

@@ -3,6 +3,7 @@ import pytest
 from tensorly.decomposition import partial_tucker
 from threadpoolctl import threadpool_limits
 
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 
 RANKS = CtaRanks(5, 12, 8)
@@ -125,6 +126,67 @@ def test_areas_as_weights_serve_the_large_vertices(glossy):
     assert total < 0.95 * np.sum(weights * plain.squared_error_per_vertex)
     energy = np.sum(weights * np.sum(glossy.astype(float) ** 2, axis=(1, 2)))
     assert weighted.initial_energy == pytest.approx(energy, rel=1e-6)
+
+
+def _term_major(rows):
+    return np.ascontiguousarray(rows.reshape(len(rows), 3, 9, -1).swapaxes(1, 2)).reshape(
+        rows.shape
+    )
+
+
+def test_three_channels_reconstruct_as_stated(coloured):
+    model = compress_cta(coloured, 6, RANKS._replace(vert=12), seed=1, n_channels=3)
+    assert model.reconstruct().shape == coloured.shape
+    assert model.view_basis.shape == (9, RANKS.view)
+    assert model.dual_bases.shape == (6, 12, 3 * RANKS.view * RANKS.light)
+    assert np.all(model.ranks[:, 0] == RANKS.view)
+    assert np.all(np.diff(model.objective) <= 1e-7 * model.initial_energy)
+    difference = coloured.astype(float) - model.reconstruct()
+    total = np.sum(difference**2)
+    # float32 residuals: 1e-7 of the signal against residuals of 1e-1 of it.
+    assert model.objective[-1] == pytest.approx(total, rel=1e-5)
+    per_vertex = np.sum(difference**2, axis=(1, 2))
+    np.testing.assert_allclose(model.squared_error_per_vertex, per_vertex, rtol=1e-3, atol=1e-9)
+    assert model.initial_energy == pytest.approx(np.sum(coloured.astype(float) ** 2), rel=1e-6)
+    for dual in model.dual_bases:
+        np.testing.assert_allclose(dual @ dual.T, np.eye(12), atol=1e-6)
+    # negative twin: the rows read term by term
+    assert np.sum((_term_major(coloured) - model.reconstruct()) ** 2) > 10.0 * total
+
+
+def test_one_cluster_of_three_channels_reaches_partial_tucker_of_their_projection(coloured):
+    """With all view vectors kept only two modes are reduced: vertices, and the light."""
+    ranks = CtaRanks(9, 12, 8)
+    model = compress_cta(coloured, 1, ranks, seed=0, max_iterations=30, n_channels=3)
+    (core, _), _ = partial_tucker(
+        coloured.astype(float), rank=[8, 12], modes=[0, 2], n_iter_max=60, tol=1e-10
+    )
+    oracle = np.sum(coloured.astype(float) ** 2) - np.sum(core**2)
+    # Ours stops when an iteration wins less than 0.1 %; both are local searches.
+    assert model.objective[-1] == pytest.approx(oracle, rel=3e-3)
+    smaller = compress_cta(
+        coloured, 1, ranks._replace(vert=7), seed=0, max_iterations=30, n_channels=3
+    )
+    assert smaller.objective[-1] != pytest.approx(oracle, rel=3e-3)
+
+
+def test_three_equal_channels_are_one(model, glossy):
+    three = compress_cta(np.tile(glossy, (1, 3, 1)), 6, RANKS, seed=1, n_channels=3)
+    # the same sums three times over; what rounds otherwise is amplified by the gaps of the spectra
+    assert three.objective == pytest.approx([3.0 * value for value in model.objective], rel=1e-4)
+    expected = model.reconstruct()
+    atol = 1e-4 * np.abs(expected).max()
+    for rows in np.split(three.reconstruct(), 3, axis=1):
+        np.testing.assert_allclose(rows, expected, rtol=0, atol=atol)
+    other = compress_cta(glossy, 6, RANKS, seed=2).reconstruct()
+    assert np.abs(other - expected).max() > 100 * atol
+
+
+@pytest.mark.parametrize("n_channels", [0, 2])
+def test_channels_that_the_rows_do_not_hold_are_refused(glossy, n_channels):
+    with pytest.raises(SettingsError, match="n_channels") as caught:
+        compress_cta(glossy, 6, RANKS, seed=1, n_channels=n_channels)
+    assert caught.value.pointer == "/n_channels"
 
 
 def test_progress_rises_to_one(glossy):

@@ -12,6 +12,41 @@ from prtbake_workers.compress.view_basis import (
 )
 
 
+def test_channels_share_the_best_update(coloured):
+    """Against the SVD of all channels' cores side by side, from the definition."""
+    n_terms, ones = 9, np.ones(len(coloured))
+    by_channel = coloured.reshape(3 * len(coloured), n_terms, -1)
+    start = initial_view_basis(by_channel, np.ones(len(by_channel)), 3)
+    z = np.empty((len(by_channel), 3, by_channel.shape[2]), np.float32)
+    project_view(by_channel, start, z)
+    z = z.reshape(len(coloured), 9, -1)
+    members = [np.arange(0, 200, dtype=np.int32), np.arange(200, 600, dtype=np.int32)]
+    factors = [fit_cluster(z[m], ones[m], 8, 6, start=None, sweeps=0)[0] for m in members]
+    bases = [
+        vertex_basis(projected_weights(z[m], f), ones[m])
+        for m, f in zip(members, factors, strict=True)
+    ]
+    updated = updated_view_basis(coloured, members, bases, factors, ones, 3, 3)
+
+    def captured(by_term):
+        unfolded = np.concatenate(
+            [
+                np.einsum(
+                    "vr,vckl,ls->krcs", u, by_term[m].astype(float), f.light.astype(float)
+                ).reshape(n_terms, -1)
+                for m, u, f in zip(members, bases, factors, strict=True)
+            ],
+            axis=1,
+        )
+        return np.sum((updated.T @ unfolded) ** 2), np.sum(np.linalg.svd(unfolded)[1][:3] ** 2)
+
+    found, best = captured(coloured.reshape(600, 3, n_terms, -1))
+    np.testing.assert_allclose(found, best, rtol=1e-6)
+    # negative twin: rows read term by term
+    found, best = captured(coloured.reshape(600, n_terms, 3, -1).swapaxes(1, 2))
+    assert found < 0.99 * best
+
+
 def _projected(transfer, basis):
     z = np.empty((len(transfer), basis.shape[1], transfer.shape[2]), np.float32)
     return z, project_view(transfer, basis, z)

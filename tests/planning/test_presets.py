@@ -60,6 +60,19 @@ def test_compression_follows_the_number_of_terms_and_vertices():
     assert diffuse.n_components == 12
 
 
+def test_components_are_cut_to_the_coefficients_of_all_channels():
+    for n_channels, expected in ((1, 4), (3, 12)):
+        found = resolve_compression(
+            CompressSettings(), "medium", n_verts=900, n_terms=1, n_coeffs=4, n_channels=n_channels
+        )
+        assert found.n_components == expected
+    glossy = resolve_compression(
+        CompressSettings(), "medium", n_verts=900, n_terms=3, n_coeffs=42, n_channels=3
+    )
+    # the view rank is that of each channel
+    assert glossy.ranks == (3, 42, 24)
+
+
 def test_ranks_and_clusters_are_cut_to_what_the_data_holds():
     settings = CompressSettings(n_clusters=100, ranks=(8, 48, 24))
     cut = resolve_compression(settings, "medium", n_verts=7, n_terms=3, n_coeffs=12)

@@ -35,7 +35,7 @@ def frames_about(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.stack([tangent, np.cross(normals, tangent), normals], axis=1)
 
 
-def make_scene(rng: np.random.Generator, scale: float = 1.0) -> Asset:
+def make_scene(rng: np.random.Generator, scale: float = 1.0, n_channels: int = 1) -> Asset:
     """A glossy sphere (CTA, a frame turned at random for each vertex) over a textured plane."""
     sphere, plane = sphere_mesh(3), grid_mesh(6, 6)
     n, m, coeffs, r_view, r_light, r_vert = len(sphere.positions), 49, 12, 3, 4, 5
@@ -51,15 +51,17 @@ def make_scene(rng: np.random.Generator, scale: float = 1.0) -> Asset:
         labels=(sphere.positions[:, 0] > 0).astype(np.int32),
         weights=np.cos(sphere.positions @ rng.normal(size=(3, r_vert))).astype(np.float32),
         view_basis=np.eye(r_view, dtype=np.float32), view_texture=phi.astype(np.float32),
-        light_bases=random(2, coeffs, r_light), dual_bases=random(2, r_vert, r_view * r_light),
+        light_bases=random(2, coeffs, r_light), dual_bases=random(2, r_vert, n_channels * r_view * r_light),
         frames=frames_about(sphere.normals, rng).astype(np.float32),
         albedo=np.ones(3, np.float32), ranks=np.full((2, 3), 3, np.int32),
+        n_channels=n_channels,
     )  # fmt: skip
     diffuse = Part(
         name="receiver", vertex_range=(n, n + m), material={"model": "lambert"}, method="cpca",
-        labels=np.zeros(m, np.int32), weights=random(m, 1), means=random(1, coeffs),
-        components=0.1 * random(1, 1, coeffs), albedo=np.array([0.7], np.float32),
+        labels=np.zeros(m, np.int32), weights=random(m, 1), means=random(1, n_channels * coeffs),
+        components=0.1 * random(1, 1, n_channels * coeffs), albedo=np.array([0.7], np.float32),
         albedo_texture=rng.random((5, 7, 3)).astype(np.float32), ranks=np.ones((1, 3), np.int32),
+        n_channels=n_channels,
     )  # fmt: skip
     positions = np.concatenate([sphere.positions, plane.positions * 5.0]) * scale
     uv = np.concatenate([np.zeros((n, 2)), rng.uniform(-1, 2, (m, 2))])
@@ -74,6 +76,12 @@ def make_scene(rng: np.random.Generator, scale: float = 1.0) -> Asset:
 @pytest.fixture
 def scene(rng: np.random.Generator) -> Asset:
     return make_scene(rng)
+
+
+@pytest.fixture
+def coloured_scene(rng: np.random.Generator) -> Asset:
+    """The same with three channels of transfer."""
+    return make_scene(rng, n_channels=3)
 
 
 @pytest.fixture

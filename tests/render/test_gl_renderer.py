@@ -67,6 +67,30 @@ def test_gl_agrees_with_the_numpy_decode(scene: Asset, light: np.ndarray, azimut
         assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
 
 
+def test_gl_agrees_with_the_numpy_decode_in_three_channels(
+    coloured_scene: Asset, light: np.ndarray
+) -> None:
+    view = view_of(coloured_scene)
+    with GlRenderer(coloured_scene) as gl, CpuRenderer(coloured_scene) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        interior, share = mismatch(gl, cpu, view)
+        assert interior < INTERIOR
+        assert share < SILHOUETTE_SHARE
+    # negative twin: green and blue of the transfer change places
+    glossy, diffuse = coloured_scene.parts
+    assert glossy.dual_bases is not None
+    rows = glossy.dual_bases.reshape(2, 5, 3, -1)[:, :, [0, 2, 1]]
+    swapped = replace(glossy, dual_bases=rows.reshape(glossy.dual_bases.shape))
+    with (
+        GlRenderer(replace(coloured_scene, parts=(swapped, diffuse))) as gl,
+        CpuRenderer(coloured_scene) as cpu,
+    ):
+        gl.set_light(light)
+        cpu.set_light(light)
+        assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
+
+
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
 def test_the_size_of_the_scene_does_not_matter(
     scene: Asset, light: np.ndarray, scale: float

@@ -19,7 +19,9 @@ def frames_about(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.stack([tangent, np.cross(normals, tangent), normals], axis=1)
 
 
-def make_asset(rng: np.random.Generator, n_glossy: int = 60, n_diffuse: int = 30) -> Asset:
+def make_asset(
+    rng: np.random.Generator, n_glossy: int = 60, n_diffuse: int = 30, n_channels: int = 1
+) -> Asset:
     """A triangle soup in two parts with random factors: CTA with a view texture, and CPCA."""
     verts, coeffs, clusters = n_glossy + n_diffuse, 42, 4
     r_view, r_light, r_vert, terms, pcs = 3, 5, 4, 6, 2
@@ -31,13 +33,15 @@ def make_asset(rng: np.random.Generator, n_glossy: int = 60, n_diffuse: int = 30
     def random(*shape: int) -> np.ndarray:
         return rng.normal(size=shape).astype(np.float32)
 
-    common: dict[str, Any] = {"ranks": np.full((clusters, 3), 2, np.int32)}
+    common: dict[str, Any] = {
+        "ranks": np.full((clusters, 3), 2, np.int32), "n_channels": n_channels,
+    }  # fmt: skip
     glossy = Part(
         name="object", vertex_range=(0, n_glossy), material={"model": "phong", "exponent": 10.0},
         method="cta", labels=rng.integers(0, clusters, n_glossy).astype(np.int32),
         weights=random(n_glossy, r_vert) * falling, view_basis=random(terms, r_view),
         view_texture=random(8, 8, r_view, 3), light_bases=random(clusters, coeffs, r_light),
-        dual_bases=random(clusters, r_vert, r_view * r_light),
+        dual_bases=random(clusters, r_vert, n_channels * r_view * r_light),
         frames=frames_about(normals[:n_glossy].astype(np.float64), rng).astype(np.float32),
         albedo=np.ones(3, np.float32), factorisation={"psi_radial": rng.normal(size=(5, 2)), "n_theta": 28, "note": ""},
         **common,
@@ -45,8 +49,8 @@ def make_asset(rng: np.random.Generator, n_glossy: int = 60, n_diffuse: int = 30
     diffuse = Part(
         name="receiver", vertex_range=(n_glossy, verts), material={"model": "lambert"},
         method="cpca", labels=rng.integers(0, clusters, n_diffuse).astype(np.int32),
-        weights=random(n_diffuse, pcs), means=random(clusters, coeffs),
-        components=random(clusters, pcs, coeffs), albedo=np.array([0.7], np.float32),
+        weights=random(n_diffuse, pcs), means=random(clusters, n_channels * coeffs),
+        components=random(clusters, pcs, n_channels * coeffs), albedo=np.array([0.7], np.float32),
         albedo_texture=rng.random((4, 6, 3)).astype(np.float32), **common,
     )  # fmt: skip
     return Asset(
@@ -59,3 +63,9 @@ def make_asset(rng: np.random.Generator, n_glossy: int = 60, n_diffuse: int = 30
 @pytest.fixture
 def asset(rng: np.random.Generator) -> Asset:
     return make_asset(rng)
+
+
+@pytest.fixture
+def coloured(rng: np.random.Generator) -> Asset:
+    """The same with three channels of transfer."""
+    return make_asset(rng, n_channels=3)

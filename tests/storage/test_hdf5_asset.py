@@ -46,6 +46,19 @@ def test_what_write_returns_is_what_read_gives(asset: Asset, tmp_path: Path, bit
 
 
 @pytest.mark.parametrize("bits", [16, 32])
+def test_three_channels_come_back(coloured: Asset, tmp_path: Path, bits: int) -> None:
+    seen = write_asset(tmp_path / "a.h5", coloured, bits=bits)
+    back = read_asset(tmp_path / "a.h5")
+    assert [part.n_channels for part in back.parts] == [3, 3]
+    assert differences(seen, back) == []
+    one = dataclasses.replace(coloured.parts[1], n_channels=1)
+    with pytest.raises(ValueError, match=r"parts/1/clusters/means has shape \(4, 126\)"):
+        write_asset(
+            tmp_path / "b.h5", dataclasses.replace(coloured, parts=(coloured.parts[0], one))
+        )
+
+
+@pytest.mark.parametrize("bits", [16, 32])
 def test_the_same_asset_gives_the_same_bytes(asset: Asset, tmp_path: Path, bits: int) -> None:
     write_asset(tmp_path / "a.h5", asset, bits=bits)
     write_asset(tmp_path / "b.h5", asset, bits=bits)
@@ -205,6 +218,18 @@ def test_another_format_version_or_kind_is_refused(
     with h5py.File(path, "r+", libver=("v110", "v110")) as file:
         file.attrs[name] = value
     with pytest.raises(CorruptArtefact, match=name):
+        read_asset(path)
+
+
+@pytest.mark.parametrize("value", [2, 0, 1.0, b"3"])
+def test_channels_other_than_one_or_three_are_refused(
+    asset: Asset, tmp_path: Path, value: object
+) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file["parts/1"].attrs["n_channels"] = value
+    with pytest.raises(CorruptArtefact, match="/parts/1: n_channels is"):
         read_asset(path)
 
 

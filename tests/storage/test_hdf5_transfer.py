@@ -1,5 +1,6 @@
 """Transfer in tiles: the join moves bytes, whatever the number of tiles."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -145,6 +146,58 @@ def test_a_flipped_byte_in_a_chunk_is_found_when_it_is_read(
         transfer.read(0, 0, CHUNK)
         with pytest.raises(CorruptArtefact, match="/parts/0/coefficients"):
             transfer.read(0, CHUNK, CHUNK + 1)
+
+
+def with_channels(scene: Scene, n_channels: int, n_terms: int) -> TransferHeader:
+    parts = tuple(
+        replace(part, n_channels=n_channels, n_terms=n_terms) for part in scene.header.parts
+    )
+    return replace(scene.header, parts=parts)
+
+
+def coloured_tiles(scene: Scene, folder: Path) -> list[list[Path]]:
+    """The scene's terms in red, green and blue: a chunk of 4 rows a vertex is 4 of 12."""
+    scene.coefficients = [
+        np.concatenate([c, 0.5 * c, 0.25 * c[:, ::-1]], axis=1) for c in scene.coefficients
+    ]
+    return scene.tiles(folder, CHUNK)
+
+
+def test_rows_of_three_channels_lie_channel_by_channel(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    scene = Scene(rng)
+    path, tiles = tmp_path / "t.h5", coloured_tiles(scene, tmp_path)
+    join_transfer(path, with_channels(scene, 3, TERMS), tiles)
+    with open_transfer(path) as transfer:
+        part = transfer.header.parts[0]
+        assert (part.n_channels, part.n_terms, part.n_rows) == (3, TERMS, 3 * TERMS)
+        whole = transfer.read(0)
+        assert whole.shape == (part.n_vertices, 3 * TERMS, COEFFS)
+        step = np.abs(scene.coefficients[0]).max(axis=2, keepdims=True) / 32767
+        assert (np.abs(whole - scene.coefficients[0]) <= 0.502 * step).all()
+        np.testing.assert_array_equal(transfer.read(0, 1, 3), whole[1:3])
+    with h5py.File(path) as file:
+        assert file["parts/0"].attrs["n_channels"] == 3
+        assert file["parts/0/coefficients"].attrs["axes"] == b"verts channel*term coeffs"
+
+
+def test_channels_that_do_not_fit_the_rows_are_refused(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    scene = Scene(rng)
+    path, plain = tmp_path / "t.h5", scene.tiles(tmp_path, CHUNK)
+    with pytest.raises(CorruptArtefact, match="part 'object' has shape"):
+        join_transfer(path, with_channels(scene, 3, TERMS), plain)
+    with pytest.raises(ValueError, match="object: n_channels is 2"):
+        join_transfer(path, with_channels(scene, 2, TERMS // 2), plain)
+    assert not path.exists()
+    join_transfer(path, scene.header, plain)
+    for value, message in ((2, "n_channels is 2"), (3, "4 rows for n_channels 3")):
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            file["parts/0"].attrs["n_channels"] = value
+        with pytest.raises(CorruptArtefact, match=message), open_transfer(path):
+            pass
 
 
 def test_chunks_hold_whole_vertices_of_about_a_mebibyte() -> None:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prtbake_storage.decode.asset import Asset, LightFit, Part
+from prtbake_storage.decode.asset import Asset, LightFit, Part, check_asset
+from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import (
     cluster_matrices,
     relight,
@@ -169,6 +170,121 @@ def test_cpca_equals_mean_plus_components(asset: Asset, rng: np.random.Generator
     )
     expected = transfer @ light
     np.testing.assert_allclose(found[:, 0], expected, atol=3e-5 * np.abs(expected).max())
+
+
+def in_equal_channels(part: Part) -> Part:
+    """The same transfer for red, green and blue, with one set of weights."""
+    dual, bases = part.dual_bases, part.light_bases
+    factors: dict[str, np.ndarray] = {}
+    if dual is not None and bases is not None:
+        clusters, n_weights, _ = dual.shape
+        rows = dual.reshape(clusters, n_weights, 1, part.n_view, bases.shape[2])
+        factors["dual_bases"] = np.repeat(rows, 3, axis=2).reshape(clusters, n_weights, -1)
+    if part.means is not None and part.components is not None:
+        factors["means"] = np.tile(part.means, (1, 3))
+        factors["components"] = np.tile(part.components, (1, 1, 3))
+    return replace(part, n_channels=3, **factors)
+
+
+def test_three_equal_channels_look_like_one(asset: Asset, rng: np.random.Generator) -> None:
+    asset = facing(asset)
+    light = rng.normal(size=(asset.n_coeffs, 3))
+    coloured = replace(asset, parts=tuple(in_equal_channels(part) for part in asset.parts))
+    check_asset(coloured)
+    for one, three in zip(asset.parts, coloured.parts, strict=True):
+        expected = reconstruct(one, slice(None))
+        found = reconstruct(three, slice(None))
+        # the same float32 products, in sums that another matrix product may order otherwise
+        atol = 1e-6 * np.abs(expected).max()
+        np.testing.assert_allclose(found, np.tile(expected, (1, 3, 1)), rtol=0, atol=atol)
+    plain, lit = relight(asset, light), relight(coloured, light)
+    for before, after in zip(plain, lit, strict=True):
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-6 * np.abs(before).max())
+    triangles = np.arange(len(asset.faces), dtype=np.int32)
+    corners = asset.positions[asset.faces].astype(np.float64)
+    eyes = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    eyes /= np.linalg.norm(eyes, axis=1, keepdims=True)
+    query = (triangles, np.tile([0.2, 0.5, 0.3], (len(triangles), 1)), eyes)
+    picture = shade(asset, plain, *query)
+    assert np.count_nonzero(picture) == picture.size
+    np.testing.assert_allclose(
+        shade(coloured, lit, *query), picture, rtol=0, atol=1e-6 * np.abs(picture).max()
+    )
+
+
+def term_major(part: Part) -> Part:
+    """The same numbers read as if a row were k * channels + c."""
+    dual, bases = part.dual_bases, part.light_bases
+    if dual is not None and bases is not None:
+        clusters, n_weights, _ = dual.shape
+        rows = dual.reshape(clusters, n_weights, part.n_view, 3, bases.shape[2])
+        return replace(part, dual_bases=rows.swapaxes(2, 3).reshape(dual.shape))
+    assert part.means is not None
+    return replace(part, means=part.means.reshape(len(part.means), -1, 3).swapaxes(1, 2).reshape(
+        part.means.shape))  # fmt: skip
+
+
+@pytest.mark.parametrize("index", [0, 1], ids=["cta", "cpca"])
+def test_each_channel_of_the_light_meets_its_own_transfer(
+    coloured: Asset, rng: np.random.Generator, index: int
+) -> None:
+    part = coloured.parts[index]
+    check_asset(coloured)
+    light = rng.normal(size=(coloured.n_coeffs, 3))
+    transfer = reconstruct(part, slice(None)).astype(np.float64)
+    n_terms = len(part.view_basis)
+    assert transfer.shape == (part.n_vertices, 3 * n_terms, coloured.n_coeffs)
+    by_channel = transfer.reshape(part.n_vertices, 3, n_terms, -1)
+    expected = np.einsum("vckl,lc->vkc", by_channel, light)
+    lit = vertex_radiance(part, cluster_matrices(part, light))
+    assert lit.shape == (part.n_vertices, part.n_view, 3)
+    found = np.einsum("kr,vrc->vkc", part.view_basis, lit)
+    # float32 sums of products of order 10
+    atol = 3e-5 * np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
+    wrong = np.einsum("vckl,lc->vkc", by_channel, light[:, [1, 2, 0]])
+    assert np.abs(found - wrong).max() > 1e3 * atol
+    other = term_major(part)
+    mixed = vertex_radiance(other, cluster_matrices(other, light))
+    assert np.abs(np.einsum("kr,vrc->vkc", part.view_basis, mixed) - expected).max() > 1e3 * atol
+
+
+def test_three_channels_of_cta_are_the_dense_tensor_of_each(coloured: Asset) -> None:
+    """Eq. (18) of a channel's own rows of the dual basis, written out."""
+    part = coloured.parts[0]
+    assert part.dual_bases is not None
+    assert part.light_bases is not None
+    found = reconstruct(part, slice(None))
+    n_terms, size = len(part.view_basis), part.n_view * part.light_bases.shape[2]
+    for channel in range(3):
+        dual = part.dual_bases[:, :, channel * size : (channel + 1) * size]
+        alone = replace(part, n_channels=1, dual_bases=dual)
+        expected = np.stack([dense_transfer(alone, v) for v in range(part.n_vertices)])
+        rows = found[:, channel * n_terms : (channel + 1) * n_terms]
+        atol = 1e-5 * np.abs(expected).max()
+        np.testing.assert_allclose(rows, expected, rtol=0, atol=atol)
+        others = found[:, channel::3]
+        assert np.abs(others - expected).max() > 1e3 * atol
+
+
+def test_channels_and_shapes_that_disagree_are_refused_by_name(coloured: Asset) -> None:
+    glossy, diffuse = coloured.parts
+    assert glossy.dual_bases is not None
+    assert diffuse.components is not None
+    for wrong, message in (
+        (replace(glossy, n_channels=2), "parts/0/n_channels is 2"),
+        (replace(glossy, n_channels=1), "parts/0/clusters/dual_bases has shape"),
+        (replace(glossy, dual_bases=glossy.dual_bases[..., :30]), "parts/0/clusters/dual_bases"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            check_asset(replace(coloured, parts=(wrong, diffuse)))
+    for wrong, message in (
+        (replace(diffuse, n_channels=0), "parts/1/n_channels is 0"),
+        (replace(diffuse, n_channels=1), "parts/1/clusters/means has shape"),
+        (replace(diffuse, components=diffuse.components[..., :42]), "parts/1/clusters/components"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            check_asset(replace(coloured, parts=(glossy, wrong)))
 
 
 def facing(asset: Asset) -> Asset:

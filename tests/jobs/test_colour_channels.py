@@ -1,0 +1,159 @@
+"""Transfer of three colours, through the stages of a compress job to the light it reflects."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec
+from prtbake_storage.contract.settings import CompressSettings
+from prtbake_storage.decode.quantise import quantise
+from prtbake_storage.decode.reconstruct import reconstruct
+from prtbake_storage.decode.relight import relight
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.hdf5.transfer import (
+    TransferHeader,
+    TransferPart,
+    join_transfer,
+    open_transfer,
+    write_transfer_tile,
+)
+from prtbake_workers.basis.srbf import default_bandwidth
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.geometry.frames import tangent_frames
+from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_workers.jobs.compress import standalone_stages
+from support.local_stages import run_stages
+from synthetic_transfer import equal_area_directions, synthetic_transfer
+
+VERTS = (300, 200)
+COEFFS = 162
+SETTINGS = CompressSettings(max_iterations=3, n_clusters=3, ranks=(5, 48, 32), n_components=24)
+
+
+def in_channels(transfer, rng):
+    """Falling channels with noise of their own, 2 % of the root mean square: row c * terms + k."""
+    size = 0.02 * np.sqrt(np.mean(transfer.astype(float) ** 2))
+    channels = [
+        factor * transfer + size * rng.standard_normal(transfer.shape)
+        for factor in (1.0, 0.5, 0.25)
+    ]
+    return np.concatenate(channels, axis=1).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def transfer(store, tmp_path_factory):
+    """Digest of a transfer file: a glossy part of several terms and a diffuse one, both coloured."""
+    folder = tmp_path_factory.mktemp("coloured")
+    rng = np.random.default_rng(11)
+    brdfs = [CookTorranceSpec(m=0.5), LambertSpec(albedo=0.7)]
+    parts, tiles, start = [], [], 0
+    for name, spec, verts in zip(("object", "receiver"), brdfs, VERTS, strict=True):
+        model = factorise(brdf_from_spec(spec), n_terms=7, n_theta=12, n_phi=32)
+        rows = in_channels(synthetic_transfer(verts, model.n_terms, COEFFS), rng)
+        packed = quantise(rows, (2,))
+        tiles.append([folder / f"{name}.h5"])
+        write_transfer_tile(
+            tiles[-1][0], packed.values, scale=packed.scale[:, :, 0],
+            signal_energy=np.sum(rows.astype(float) ** 2, axis=(1, 2)),
+            residual_energy=np.zeros(verts),
+        )  # fmt: skip
+        parts.append(
+            TransferPart(
+                name=name, vertex_range=(start, start + verts), material=spec.model_dump(),
+                areas=rng.uniform(0.5, 2.0, verts), n_terms=model.n_terms, n_channels=3,
+                frames=None if model.is_constant_phi else tangent_frames(
+                    equal_area_directions(verts)
+                ),
+                albedo=model.albedo, factorisation=model.tables(),
+            )
+        )  # fmt: skip
+        start += verts
+    points = np.concatenate([equal_area_directions(verts) for verts in VERTS])
+    centres = icosphere(2)
+    header = TransferHeader(
+        positions=points, faces=np.array([[0, 1, 2], [300, 301, 302]], np.int32), normals=points,
+        uv=None, centres=centres, bandwidth=default_bandwidth(COEFFS), parts=tuple(parts),
+    )  # fmt: skip
+    join_transfer(folder / "transfer.h5", header, tiles)
+    return store.put_file(folder / "transfer.h5", move=False)
+
+
+@pytest.fixture(scope="module")
+def results(store, transfer):
+    return run_stages(standalone_stages(transfer, SETTINGS, 1), store)
+
+
+@pytest.fixture(scope="module")
+def exact(store, results):
+    return read_asset(store.local_path(results["quantise"][0]["exact"]))
+
+
+@pytest.fixture(scope="module")
+def rows_and_areas(store, transfer):
+    with open_transfer(store.local_path(transfer)) as file:
+        return [
+            (file.read(index).astype(float), part.areas)
+            for index, part in enumerate(file.header.parts)
+        ]
+
+
+def test_both_methods_take_three_channels(results, exact, rows_and_areas):
+    assert [part.method for part in exact.parts] == ["cta", "cpca"]
+    assert [part.n_channels for part in exact.parts] == [3, 3]
+    glossy, diffuse = exact.parts
+    assert np.all(glossy.ranks[:, 0] == 5)
+    assert np.all(diffuse.ranks[:, :2] == (1, COEFFS))
+    assert glossy.view_texture.shape[2:] == (5, 1)
+    for result, part, (rows, _) in zip(
+        results["compress"], exact.parts, rows_and_areas, strict=True
+    ):
+        assert result["transfer_bytes"] == 4 * rows.size
+        stored = sum(a.nbytes for name, a in part.factors() if name != "labels")
+        # the view basis of a diffuse part is the number one
+        assert stored == result["factor_bytes"] + (4 if part.method == "cpca" else 0)
+
+
+def test_stated_errors_are_those_of_the_files(store, results, exact, rows_and_areas):
+    delivered = read_asset(store.local_path(results["quantise"][0]["asset"]))
+    for index, (rows, areas) in enumerate(rows_and_areas):
+        part = exact.parts[index]
+        energy = areas @ np.sum(rows**2, axis=(1, 2))
+        found = reconstruct(part, slice(None))
+        ratio = areas @ np.sum((found - rows) ** 2, axis=(1, 2)) / energy
+        # float32 factors against float64 sums
+        assert results["compress"][index]["errors"][part.name] == pytest.approx(ratio, rel=1e-3)
+        assert ratio < 0.02
+        rounded = reconstruct(delivered.parts[index], slice(None))
+        rounding = areas @ np.sum((rounded - found) ** 2, axis=(1, 2)) / energy
+        assert results["quantise"][0]["errors"][part.name] == pytest.approx(rounding, rel=1e-3)
+        assert 0.0 < rounding < 1e-6
+        mixed = rows.reshape(len(rows), -1, 3, COEFFS).swapaxes(1, 2).reshape(rows.shape)
+        if part.method == "cta":
+            wrong = areas @ np.sum((found - mixed) ** 2, axis=(1, 2)) / energy
+            assert wrong > 10.0 * ratio
+
+
+def test_relit_colours_are_off_by_no_more_than_the_stated_error(results, exact, rows_and_areas):
+    """Sum of areas |(T - T~) l|^2 <= |l|^2 sum of areas |T - T~|^2, colour by colour."""
+    rng = np.random.default_rng(3)
+    # near what the diffuse part reflects most, so that a wrong contraction is far off
+    base = rows_and_areas[1][0][:, 0].mean(axis=0)
+    light = base[:, None] * rng.uniform(0.5, 1.5, (COEFFS, 3))
+    lit = relight(exact, light)
+    for index, (rows, areas) in enumerate(rows_and_areas):
+        part = exact.parts[index]
+        stated = results["compress"][index]["errors"][part.name]
+        bound = np.sum(light**2, axis=0) * stated * (areas @ np.sum(rows**2, axis=(1, 2)))
+        found = np.einsum("kr,vrc->vkc", part.view_basis, lit[index])
+
+        def off(by_channel, found=found, areas=areas):
+            difference = found - np.einsum("vckl,lc->vkc", by_channel, light)
+            return np.einsum("v,vkc->c", areas, difference**2)
+
+        by_channel = rows.reshape(len(rows), 3, -1, COEFFS)
+        assert np.all(off(by_channel) < bound)
+        # negative twins: the channels of another colour, and terms before channels
+        assert off(by_channel[:, [1, 2, 0]]).sum() > 3.0 * bound.sum()
+        if part.method == "cta":
+            term_major = rows.reshape(len(rows), -1, 3, COEFFS).swapaxes(1, 2)
+            assert off(term_major).sum() > 3.0 * bound.sum()

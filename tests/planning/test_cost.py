@@ -1,0 +1,50 @@
+"""Predicted sizes against those of real factors."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.settings import BakeSettings
+from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.planning.cost import compress_memory_bytes, part_cost
+from prtbake_workers.planning.presets import PartCompression
+
+VERTS, COEFFS = 120, 42
+BAKE = BakeSettings(n_centres=COEFFS)
+
+
+def cost_of(method, n_terms, n_channels):
+    compression = PartCompression(method, 3, (2, 6, 5), 4)
+    return part_cost(
+        BAKE, compression, n_verts=VERTS, n_terms=n_terms, shadows=True, iterations=4,
+        n_channels=n_channels,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_the_asset_s_bytes_are_those_of_the_factors_in_16_bits(rng, n_channels):
+    transfer = rng.standard_normal((VERTS, 4 * n_channels, COEFFS)).astype(np.float32)
+    cta = compress_cta(
+        transfer, 3, CtaRanks(2, 6, 5), seed=0, max_iterations=1, n_channels=n_channels
+    )
+    cost = cost_of("cta", 4, n_channels)
+    assert 2 * cost.asset_bytes == cta.nbytes
+    assert 2 * cost.transfer_bytes == transfer.nbytes
+    signal = np.ascontiguousarray(transfer[:, :n_channels]).reshape(VERTS, -1)
+    cpca = compress_cpca(signal, 3, 4, seed=0)
+    cost = cost_of("cpca", 1, n_channels)
+    assert 2 * cost.asset_bytes == cpca.nbytes
+    assert 2 * cost.transfer_bytes == signal.nbytes
+
+
+@pytest.mark.parametrize(("method", "n_terms"), [("cta", 4), ("cpca", 1)])
+def test_three_channels_compress_longer_in_more_memory_and_bake_no_longer(method, n_terms):
+    one, three = (cost_of(method, n_terms, n_channels) for n_channels in (1, 3))
+    assert three.bake_seconds == one.bake_seconds
+    assert three.transfer_bytes == 3 * one.transfer_bytes
+    assert three.compress_seconds == pytest.approx(3 * one.compress_seconds)
+    assert three.compress_memory_bytes == 3 * one.compress_memory_bytes
+    assert compress_memory_bytes([one, three]) - compress_memory_bytes([one]) == (
+        2 * one.compress_memory_bytes
+    )
+    assert one.asset_bytes < three.asset_bytes < 3 * one.asset_bytes
