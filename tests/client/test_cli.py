@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
+from prtbake.cli.requests import receiver_value
 from prtbake_service.testing import LiveService
 from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
@@ -70,6 +71,17 @@ def test_submit_asset_from_words(
     assert request["receiver"]["resolution"] == 8
     assert request["effects"]["self_shadowing"] == "off"
     assert request["albedo_texture"].startswith("sha256:")
+
+
+def test_a_plane_is_words_or_json() -> None:
+    assert receiver_value("on") == {}
+    assert receiver_value("24") == {"resolution": 24}
+    assert receiver_value("extent=3,albedo=0.9:0.2:0.1") == {"extent": 3, "albedo": [0.9, 0.2, 0.1]}
+    glossy = {"brdf": {"model": "phong", "exponent": 4}}
+    assert receiver_value(json.dumps(glossy)) == glossy
+    for wrong in ("{", '{"size": 3}', "size=3"):
+        with pytest.raises(typer.BadParameter):
+            receiver_value(wrong)
 
 
 def test_a_brdf_is_inline_json_or_a_file_to_register(

@@ -4,7 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from prtbake_storage.contract.base import Fraction, Positive, Vec3, Wire
+from prtbake_storage.contract.base import Positive, Vec3, Wire
+from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
@@ -27,12 +28,16 @@ class Effects(Wire):
 
 
 class ReceiverPlane(Wire):
-    """A diffuse plane under the object, ``extent`` object diagonals wide."""
+    """A plane under the object, ``extent`` object diagonals wide.
+
+    It is diffuse, of an ``albedo`` of one number or three, or has a ``brdf`` of its own.
+    """
 
     resolution: Annotated[int, Field(ge=2, le=1024)] = 64
     extent: Annotated[float, Field(gt=0.0, le=100.0)] = 2.0
     gap: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
-    albedo: Fraction = 0.7
+    albedo: Reflectance = 0.7
+    brdf: BrdfSpec | None = None
 
 
 class BakeSettings(Wire):

@@ -123,7 +123,8 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
                 gap=receiver.gap,
             )
         )
-        specs.append(LambertSpec(albedo=receiver.albedo).model_dump(mode="json"))
+        material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
+        specs.append(material.model_dump(mode="json"))
         names.append("receiver")
     texture = None
     if args["albedo_texture"] is not None:

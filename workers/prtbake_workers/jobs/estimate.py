@@ -136,6 +136,7 @@ def _compress(settings: CompressSettings, artefacts: dict[str, Any], store: Blob
             n_verts=part.n_vertices,
             n_terms=part.n_terms,
             n_coeffs=len(header.centres),
+            n_channels=part.n_channels,
         )
         plan["parts"].append({"name": part.name, "compression": asdict(compression)})
         costs.append(
@@ -146,6 +147,7 @@ def _compress(settings: CompressSettings, artefacts: dict[str, Any], store: Blob
                 n_terms=part.n_terms,
                 shadows=False,
                 iterations=settings.max_iterations,
+                n_channels=part.n_channels,
             )
         )
     seconds = compress_seconds(costs)

@@ -72,8 +72,8 @@ class Albedo:
     def of_parts(
         cls,
         scene: Scene,
-        values: Sequence[Float64[F64, " channels"]],
-        textures: Sequence[Float32[F32, "height width 3"] | None],
+        values: Sequence[Float64[F64, " _"]],
+        textures: Sequence[Float32[F32, "_ _ 3"] | None],
     ) -> "Albedo":
         """Give every part an albedo and, where it has one, a texture that multiplies it.
 

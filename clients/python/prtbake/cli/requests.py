@@ -58,7 +58,9 @@ Layout = Annotated[
 Repair = Annotated[bool, typer.Option(help="Replace NaN and infinite pixels, and say so.")]
 Receiver = Annotated[
     str | None,
-    typer.Option(help="Plane under the object: 'on', a resolution, or resolution=64,extent=2."),
+    typer.Option(
+        help="Plane under the object: 'on', a resolution, resolution=64,extent=2, or JSON."
+    ),
 ]
 Texture = Annotated[str | None, typer.Option(help="Albedo as PNG, or sha256:...")]
 Effect = Annotated[list[str] | None, typer.Option(help="NAME=auto|on|off; repeat for several.")]
@@ -328,9 +330,15 @@ def _scene(
 
 
 def receiver_value(text: str) -> Request:
-    """Read ``--receiver``: ``on``, a resolution, or pairs."""
+    """Read ``--receiver``: ``on``, a resolution, pairs, or JSON, where it has a BRDF of its own."""
     if text == "on":
         return {}
+    if text.startswith("{"):
+        try:
+            given = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise typer.BadParameter(f"not JSON: {error}", param_hint="--receiver") from error
+        return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
     if "=" not in text:
         return {"resolution": parse_value(text)}
     given = key_values(text.split(","))

@@ -1,0 +1,135 @@
+"""Interreflection through the stages of a job: what is stored, what it costs, what is said."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.hdf5.bounces import read_transfer_tile
+from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_workers.jobs import bounce
+from prtbake_workers.jobs.report import gather
+from prtbake_workers.jobs.scene_file import read_scene
+from prtbake_workers.transport.bounce_operator import build_bounce_block
+from prtbake_workers.transport.interreflection import bounce_series
+from support.bounce_scenes import opaque
+from support.scenes import asset_request, run_until, teapot_context
+
+RED = {"model": "lambert", "albedo": [0.9, 0.2, 0.1]}
+BAKE = {"n_centres": 42, "bounce_rays": 16, "max_bounces": 4, "bounce_tolerance": 0.0}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return open_store((tmp_path_factory.mktemp("bounces") / "blobs").as_uri())
+
+
+def joined(store, **changes):
+    request = asset_request(**{"brdf": RED, "settings": {"bake": BAKE}} | changes)
+    return run_until(store, request, teapot_context(store, request), "join")
+
+
+@pytest.fixture(scope="module")
+def coloured(store):
+    effects = {"interreflection": "on", "colour_bleeding": "on"}
+    return joined(store, effects=effects)
+
+
+def stored(store, results):
+    """Coefficients of every part as they are stored, (verts, channels, coeffs)."""
+    with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
+        return transfer.header, [
+            transfer.read(index).reshape(part.n_vertices, part.n_channels, -1)
+            for index, part in enumerate(transfer.header.parts)
+        ]
+
+
+def test_stored_transfer_is_the_series_of_the_sparse_operator(store, coloured):
+    planned = read_scene(store.local_path(coloured["plan"][0]["scene"]))
+    direct = np.concatenate(
+        [
+            read_transfer_tile(store.local_path(tile))[0][:, 0]
+            for tiles in bounce.grouped_tiles(coloured, "bake")
+            for tile in tiles
+        ]
+    )
+    surface = opaque(planned.scene)
+    operator = build_bounce_block(
+        surface, (0, planned.scene.n_vertices), albedo=planned.reflection()[1], n_rays=16, seed=0
+    )
+    expected = bounce_series(
+        direct, operator.matrices, areas=planned.scene.areas, tolerance=0.0, max_bounces=4
+    ).transfer
+    header, found = stored(store, coloured)
+    assert [part.n_channels for part in header.parts] == [3, 3]
+    found = np.concatenate(found).transpose(1, 0, 2)
+    # 16 bits twice: half a step of either row, 1/65534 of its largest
+    np.testing.assert_allclose(found, expected, atol=4e-5 * np.abs(expected).max())
+    # the colours differ, and from the direct light, by far more than that
+    assert np.abs(found[0] - found[2]).max() > 0.01 * np.abs(expected).max()
+    assert np.abs(found[2] - direct).max() > 1e-3 * np.abs(expected).max()
+
+
+def test_energies_are_those_of_what_is_stored(store, coloured):
+    with open_transfer(store.local_path(coloured["join"][0]["transfer"])) as transfer:
+        for index, part in enumerate(transfer.header.parts):
+            energies = transfer.energies(index)
+            kept = (transfer.read(index).astype(np.float64) ** 2).sum(axis=(1, 2))
+            # of direct light, which is projected; bounced light is in the basis from the start
+            np.testing.assert_allclose(
+                energies.signal - energies.residual, kept, rtol=0.02, atol=1e-6
+            )
+            assert part.n_channels == 3
+
+
+def test_one_channel_holds_the_mean_of_the_colours(store):
+    grey = joined(store, effects={"interreflection": "on", "colour_bleeding": "off"})
+    header, found = stored(store, grey)
+    assert [part.n_channels for part in header.parts] == [1, 1]
+    mean = joined(
+        store,
+        brdf=RED | {"albedo": 0.4},  # the mean of 0.9, 0.2 and 0.1
+        effects={"interreflection": "on", "colour_bleeding": "off"},
+    )
+    for one, other in zip(found, stored(store, mean)[1], strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4 * np.abs(other).max())
+
+
+def test_bounces_forced_off_leave_the_bake_as_it_is(store, coloured):
+    off = joined(store, effects={"interreflection": "off"})
+    assert off["bounces"] == off["add_bounces"] == []
+    assert [tile["tile"] for tile in off["bake"]] != []
+    _, direct = stored(store, off)
+    _, bounced = stored(store, coloured)
+    assert all(one.shape[1] == 1 for one in direct)
+    # light is only added: every part is brighter, the red of the pot more than its blue
+    gains = [(b**2).sum(axis=(0, 2)) / (d**2).sum() for b, d in zip(bounced, direct, strict=True)]
+    assert all((gain > 1.0001).all() for gain in gains)
+    assert gains[0][0] > gains[0][2]
+
+
+def test_the_report_tells_what_each_bounce_added(coloured):
+    account = gather("x", coloured)
+    assert account["bounces"]["bounces"] == 4
+    assert account["bounces"]["channels"] == 3
+    added = account["bounces"]["added"]
+    assert added == sorted(added, reverse=True)
+    assert account["bounces"]["left_out_is"] == "a bound"
+    assert 0.0 < account["bounces"]["left_out"] < added[-2]
+    (stage,) = (one for one in account["stages"] if one["name"] == "bounces")
+    assert set(stage["errors"]) == {"rays", "16-bit", "left out"}
+    assert 0.0 < stage["errors"]["rays"] < added[0]
+    # a tolerance of 0 is never reached
+    assert any("max_bounces = 4" in note for note in account["bounce_notes"])
+    assert account["bounce_counters"]["bounce_hits"] > 0
+    decided = {one["effect"]: one for one in account["plan"]["effects"]}
+    assert decided["interreflection"]["forced"]
+
+
+def test_a_receiver_has_a_brdf_of_its_own(store):
+    glossy = {"model": "phong", "kd": [0.5, 0.1, 0.1], "ks": 0.2, "exponent": 4}
+    results = joined(
+        store, receiver={"resolution": 8, "brdf": glossy}, settings={"bake": BAKE | {"n_terms": 4}}
+    )
+    header, _ = stored(store, results)
+    assert header.parts[1].material["model"] == "phong"
+    assert header.parts[1].n_terms > 1
