@@ -236,6 +236,37 @@ def test_bounces_add_up(nook):
     np.testing.assert_allclose(fewer.by_bounce, found.by_bounce[:3], rtol=1e-12, atol=1e-15)
 
 
+def test_indirect_light_is_the_total_less_the_direct(nook):
+    points, light = seen_points(nook), uneven()
+    options = {"n_bounces": 4, "n_passes": 12, "rotation": ROTATION}
+    found = trace(nook, NOOK_MATERIALS, points, light, **options)
+    direct = trace(nook, NOOK_MATERIALS, points, light, **options | {"n_bounces": 0}, seed=7)
+    apart = replace(found, passes=found.passes - direct.passes)
+    inner = replace(found, passes=found.indirect)
+    assert_same_expectation(apart, inner)
+    assert found.indirect.mean(axis=0) == pytest.approx(found.by_bounce[1:].sum(axis=0), rel=1e-12)
+    # the negative twin: the first bounce counted as direct
+    with pytest.raises(AssertionError):
+        assert_same_expectation(
+            apart, replace(inner, passes=found.indirect - found.by_bounce[1])
+        )
+    # without the rays towards the light at the points it is the same indirect light
+    alone = trace(nook, NOOK_MATERIALS, points, light, **options, indirect_only=True)
+    np.testing.assert_allclose(alone.indirect, found.indirect, rtol=1e-12)
+    assert alone.passes.tobytes() == alone.indirect.tobytes()
+    assert not alone.by_bounce[0].any()
+    np.testing.assert_allclose(alone.by_bounce[1:], found.by_bounce[1:], rtol=1e-12)
+    # every path has one ray towards the light at its point, unless that is below its horizon
+    assert alone.n_rays < found.n_rays - 0.3 * found.passes[..., 0].size * 64
+
+
+def test_without_bounces_there_is_no_indirect_light(nook):
+    points, light = seen_points(nook), uneven()
+    assert not trace(nook, NOOK_MATERIALS, points, light, n_bounces=0).indirect.any()
+    alone = trace(nook, NOOK_MATERIALS, points, light, n_bounces=0, indirect_only=True)
+    assert not alone.passes.any()
+
+
 def test_roulette_keeps_the_expectation_and_saves_rays(nook):
     dim = materials(*(Lambert(np.array([value])) for value in (0.3, 0.2, 0.25)))
     points, light = seen_points(nook), uneven()

@@ -124,8 +124,21 @@ class RenderSettings(Wire):
     exposure: Positive | None = None
 
 
+REFERENCE_BOUNCES = 8
+"""Of the reference where transfer was baked with bounces: later ones bring 0.2 % of the light even
+in a closed room of albedo 0.5."""
+
+SAMPLES_PER_PATH = 8
+"""Light samples that cost about what a path does."""
+
+
 class ValidateSettings(Wire):
-    """Reference pictures: ``passes`` x ``samples`` light samples give value and variance."""
+    """Reference pictures: ``passes`` x ``samples`` light samples give value and variance.
+
+    ``bounces`` of light between surfaces, None for `REFERENCE_BOUNCES` where the transfer was baked
+    with bounces and 0 where it was not; they are estimated from ``passes`` x ``bounce_samples``
+    paths a pixel, None for one in `SAMPLES_PER_PATH` light samples.
+    """
 
     cameras: Cameras = Field(
         default_factory=lambda: [
@@ -140,6 +153,19 @@ class ValidateSettings(Wire):
     rotations_deg: Annotated[list[Vec3], Field(min_length=1, max_length=16)] = Field(
         default_factory=lambda: [(0.0, 0.0, 0.0)]
     )
+    bounces: Annotated[int, Field(ge=0, le=32)] | None = None
+    bounce_samples: Annotated[int, Field(ge=1, le=65536)] | None = None
+
+    def reference_bounces(self, *, baked: bool) -> int:
+        """Return the bounces of the reference, for transfer with or without baked bounces."""
+        if self.bounces is not None:
+            return self.bounces
+        return REFERENCE_BOUNCES if baked else 0
+
+    @property
+    def paths(self) -> int:
+        """Paths a pixel and pass, where there are bounces."""
+        return self.bounce_samples or max(1, self.samples // SAMPLES_PER_PATH)
 
 
 STAGES: dict[str, type[Wire]] = {

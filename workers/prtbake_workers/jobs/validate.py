@@ -140,6 +140,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         delivered=delivered,
         environment=load_environment(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),
+        baked_bounces=bool(header.provenance.get("interreflection")),
     )
 
 
@@ -161,12 +162,14 @@ def check_kinship(args: dict[str, Any], store: BlobStore) -> None:
 def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
     """Contract stored coefficients of some vertices of a part, in rising order, with light.
 
-    They are read a few chunks of the file at a time; chunks without a vertex are not read.
+    Columns of light are triples of colours, and transfer of three channels lights each colour by
+    its own.  Coefficients are read a few chunks of the file at a time; chunks without a vertex are not read.
     """
     with open_transfer(path) as transfer:
-        n_terms = transfer.header.parts[part].n_terms
-        result = np.zeros((len(vertices), n_terms, light.shape[1]))
-        step = READ_CHUNKS * transfer_chunk_vertices(n_terms, len(light))
+        own = transfer.header.parts[part]
+        n_channels = getattr(own, "n_channels", 1)
+        result = np.zeros((len(vertices), own.n_terms, light.shape[1]))
+        step = READ_CHUNKS * transfer_chunk_vertices(n_channels * own.n_terms, len(light))
         gaps = np.flatnonzero(np.diff(vertices // step)) + 1
         for run in np.split(np.arange(len(vertices)), gaps):
             if run.size == 0:
@@ -174,7 +177,33 @@ def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
             chosen = vertices[run]
             block = transfer.read(part, int(chosen[0]), int(chosen[-1]) + 1)
             for row, at in zip(run, chosen - chosen[0], strict=True):
-                result[row] = block[at].astype(np.float64) @ light
+                result[row] = contract(block[at].astype(np.float64), light, n_channels)
+    return result
+
+
+def contract(rows: F64, light: F64, n_channels: int) -> F64:
+    """Light the coefficients of one vertex.
+
+    Parameters
+    ----------
+    rows
+        (channels x terms, coeffs), channel by channel.
+    light
+        (coeffs, columns) whitened light; column j has colour j mod 3.
+    n_channels
+        1, which lights all colours, or 3.
+
+    Returns
+    -------
+    ndarray
+        (terms, columns).
+    """
+    if n_channels == 1:
+        return np.asarray(rows @ light)
+    terms = rows.reshape(n_channels, -1, rows.shape[1])
+    result = np.empty((terms.shape[1], light.shape[1]))
+    for channel, own in enumerate(terms):
+        result[:, channel::n_channels] = own @ light[:, channel::n_channels]
     return result
 
 

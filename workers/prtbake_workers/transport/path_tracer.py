@@ -70,6 +70,8 @@ class PathEstimate:
     ----------
     passes
         Of each independent pass.
+    indirect
+        The part of each pass that came by one bounce or more.
     by_bounce
         Mean over the passes of the light that came by each number of bounces.
     n_rays
@@ -77,6 +79,7 @@ class PathEstimate:
     """
 
     passes: Float64[F64, "passes points 3"]
+    indirect: Float64[F64, "passes points 3"]
     by_bounce: Float64[F64, "bounces points 3"]
     n_rays: int
 
@@ -105,6 +108,7 @@ def trace_paths(
     n_samples: int,
     seed: int,
     roulette_from: int | None = None,
+    indirect_only: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> PathEstimate:
     """Estimate the radiance that points reflect, by paths of up to ``n_bounces`` bounces.
@@ -128,6 +132,9 @@ def trace_paths(
     roulette_from
         From this bounce on paths end at random, with their weight kept in expectation.  None, the
         default, ends none.
+    indirect_only
+        Leave direct light out of the estimate, and the rays towards it at the points untraced.  The
+        indirect light is the same, number by number.
     progress
         Called with the fraction done.
 
@@ -142,19 +149,21 @@ def trace_paths(
         Counts out of range, or not one material a part.
     """
     _check(surface.scene, materials, n_bounces, n_passes, n_samples)
-    tracer = _PathTracer(surface, materials, environment, rotation, roulette_from)
-    passes = np.zeros((n_passes, len(points), 3))
+    tracer = _PathTracer(surface, materials, environment, rotation, roulette_from, indirect_only)
+    indirect = np.zeros((n_passes, len(points), 3))
+    passes = np.zeros_like(indirect)
     by_bounce = np.zeros((n_bounces + 1, len(points), 3))
     for index in range(n_passes):
         numbers = [_Numbers(seed, index, depth, len(points), n_samples)
                    for depth in range(n_bounces + 1)]  # fmt: skip
         for block in blocks(len(points), n_samples):
             found = tracer.trace(points, block, numbers, n_samples)
-            passes[index, block] = found.sum(axis=0)
+            indirect[index, block] = found[1:].sum(axis=0)
+            passes[index, block] = found[0] + indirect[index, block]
             by_bounce[:, block] += found / n_passes
         if progress is not None:
             progress((index + 1) / n_passes)
-    return PathEstimate(passes, by_bounce, tracer.n_rays)
+    return PathEstimate(passes, indirect, by_bounce, tracer.n_rays)
 
 
 class _Numbers:
@@ -189,6 +198,7 @@ class _PathTracer:
         environment: Environment,
         rotation: Float64[F64, "3 3"],
         roulette_from: int | None,
+        indirect_only: bool,
     ) -> None:
         self.surface = surface
         self.scene = surface.scene
@@ -197,6 +207,7 @@ class _PathTracer:
         self.sampler = EnvironmentSampler(environment)
         self.rotation = rotation
         self.roulette_from = roulette_from
+        self.first_lit = 1 if indirect_only else 0
         self.two_sided = np.array([material.two_sided for material in materials])
         self.n_rays = 0
 
@@ -213,16 +224,19 @@ class _PathTracer:
             u = own.of(point, sample)
             wo = np.einsum("pij,pj->pi", at.frames, at.wo)
             texture = self._texture(at)
-            light = throughput * self._sampled_light(at, wo, texture, u)
             wi, weight, density = self._go_on(at, wo, texture, u)
             weight *= throughput
             last = depth == len(numbers) - 1
             escaped, hit, (triangles, barycentrics) = self._follow(at, wi, weight, last)
-            light[escaped] += weight[escaped] * self._escaped_light(wi[escaped], density[escaped])
-            for channel in range(3):
-                result[depth, :, channel] = np.bincount(
-                    point - block.start, light[:, channel], n_points
+            if depth >= self.first_lit:
+                light = throughput * self._sampled_light(at, wo, texture, u)
+                light[escaped] += weight[escaped] * self._escaped_light(
+                    wi[escaped], density[escaped]
                 )
+                for channel in range(3):
+                    result[depth, :, channel] = np.bincount(
+                        point - block.start, light[:, channel], n_points
+                    )
             if last or len(hit) == 0:
                 break
             throughput = weight[hit]

@@ -2,6 +2,10 @@
 
 reference -> K terms -> BRDF tables -> vertex interpolation -> visibility sampling -> SRBF basis
 -> 16-bit transfer -> light fit -> compression -> 16-bit factors
+
+With bounces, the pictures up to the SRBF basis all hold the same indirect light, pass by pass, of
+the path tracer; it cancels in their differences.  The stored transfer holds the bounces of the
+bake, so what those lack falls into its line.
 """
 
 from collections.abc import Callable
@@ -17,6 +21,7 @@ from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.validation.budget import Budget, ChainPicture, make_budget
 from prtbake_workers.validation.hits import PixelHits, trace_camera
 from prtbake_workers.validation.light import cell_flux, draw_pass, subdivided_texels
+from prtbake_workers.validation.indirect import PathLight
 from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import (
     asset_picture,
@@ -29,14 +34,24 @@ from prtbake_workers.validation.shading import with_plain_terms
 MERGED_LINE = "compression and 16-bit factors"
 """Where the asset before its quantisation is not at hand."""
 
+STORED_LINE = "16-bit transfer"
+BOUNCED_LINE = "bounces and 16-bit transfer"
+"""In place of `STORED_LINE` where transfer was baked with bounces."""
+UNBOUNCED_LINE = "bounces left out and 16-bit transfer"
+"""Where only the reference has bounces."""
+
 MEANINGS = {
-    "reference": "brute force: importance sampling, shadow rays, the true BRDF",
+    "reference": "brute force: importance sampling, shadow rays, the true BRDF, paths for bounces",
     "K terms": "the BRDF cut to a sum of K products",
     "BRDF tables": "the products' factors read from tables and a texture",
     "vertex interpolation": "light gathered at vertices, colours interpolated between them",
     "visibility sampling": "visibility known in the bake's own directions only",
     "SRBF basis": "transport projected on spherical radial basis functions",
-    "16-bit transfer": "coefficients as the transfer file holds them",
+    STORED_LINE: "coefficients as the transfer file holds them",
+    BOUNCED_LINE: "bounces as the bake gathered them, cut where it stopped, in place of the "
+    "reference's, and coefficients as the transfer file holds them",
+    UNBOUNCED_LINE: "no bounces, as the bake left them out, and coefficients as the transfer file "
+    "holds them",
     "light fit": "a sum of scattered lobes in place of the environment",
     "compression": "clusters and ranks in place of every vertex's own coefficients",
     "16-bit factors": "factors as the asset file holds them",
@@ -44,8 +59,13 @@ MEANINGS = {
 }
 """What each picture of the chain adds over the one before it."""
 
-LINES = tuple(name for name in MEANINGS if name != MERGED_LINE)
+LINES = tuple(
+    name for name in MEANINGS if name not in (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE)
+)
 MERGED_LINES = (*LINES[:-2], MERGED_LINE)
+
+N_WITH_PATHS = LINES.index(STORED_LINE)
+"""Pictures that hold the path tracer's indirect light."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +96,9 @@ def validate_camera(
     for each visible vertex, term and rotation 100 bytes.
     """
     hits = trace_camera(validation, camera, settings.width, settings.height)
-    steps = len(rotations) * settings.passes + len(validation.parts) + len(rotations)
+    n_bounces = settings.reference_bounces(baked=validation.baked_bounces)
+    light_passes = settings.passes * (2 if n_bounces else 1)
+    steps = len(rotations) * (light_passes + 1) + len(validation.parts)
     done = 0
 
     def advance() -> None:
@@ -86,6 +108,7 @@ def validate_camera(
             progress(done / steps)
 
     exact = [ExactTerms(part.factorisation) for part in validation.parts]
+    paths = PathLight(validation, hits) if n_bounces else None
     sampled = _sampled_pictures(validation, hits, rotations, advance)
     views = []
     for index, rotation in enumerate(rotations):
@@ -100,7 +123,10 @@ def validate_camera(
             if asset is not None
         ]
         advance()
-        names = MERGED_LINES if validation.exact is None else LINES
+        if paths is not None:
+            indirect = paths.indirect(rotation, n_bounces, settings, seed + index, advance)
+            chain[:N_WITH_PATHS] = [picture + indirect for picture in chain[:N_WITH_PATHS]]
+        names = line_names(validation, n_bounces)
         pictures = tuple(
             ChainPicture(name, passes) for name, passes in zip(names, chain, strict=True)
         )
@@ -115,6 +141,17 @@ def validate_camera(
             )
         )
     return views
+
+
+def line_names(validation: ValidationScene, n_bounces: int) -> tuple[str, ...]:
+    """Name the pictures of a chain whose reference has ``n_bounces``."""
+    stored = STORED_LINE
+    if validation.baked_bounces:
+        stored = BOUNCED_LINE
+    elif n_bounces:
+        stored = UNBOUNCED_LINE
+    names = MERGED_LINES if validation.exact is None else LINES
+    return tuple(stored if name == STORED_LINE else name for name in names)
 
 
 def _monte_carlo_pictures(

@@ -52,6 +52,8 @@ class ValidationScene:
     delivered: Asset
     environment: Environment
     light: LightFit
+    baked_bounces: bool
+    """Whether the stored transfer holds bounces."""
 
     @property
     def finest(self) -> Asset:

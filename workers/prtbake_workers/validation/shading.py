@@ -9,7 +9,8 @@ from prtbake_storage.decode.asset import Asset
 from prtbake_storage.decode.relight import shade
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
-from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64
+from prtbake_workers.transport.albedo import AlbedoAt
 from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 
@@ -24,15 +25,26 @@ def view_terms(part: ValidationPart, wo: Float64[F64, "n 3"]) -> Float64[F64, "n
 def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64, "hits 3"]:
     """Return what the albedo textures multiply each pixel by; one where there is none."""
     albedo = np.ones((len(hits.pixels), 3))
-    asset = validation.finest
-    for index, part in enumerate(asset.parts):
-        if part.albedo_texture is None or asset.uv is None:
-            continue
-        own = np.flatnonzero(hits.parts == index)
-        corners = asset.uv[validation.scene.faces[hits.triangles[own]]]
-        uv = np.einsum("nc,nci->ni", hits.barycentrics[own], corners)
-        albedo[own] = lookup_repeating(part.albedo_texture, uv)
+    for index in range(len(validation.parts)):
+        texture = part_texture(validation, index)
+        if texture is not None:
+            own = np.flatnonzero(hits.parts == index)
+            albedo[own] = texture(hits.triangles[own], hits.barycentrics[own].astype(np.float64))
     return albedo
+
+
+def part_texture(validation: ValidationScene, index: int) -> AlbedoAt | None:
+    """Return the lookup of a part's albedo texture by triangle; None where it has none."""
+    uv, texture = validation.finest.uv, validation.finest.parts[index].albedo_texture
+    if texture is None or uv is None:
+        return None
+    faces = validation.scene.faces
+
+    def at(triangles: I64, barycentrics: F64) -> F64:
+        where = np.einsum("nc,nci->ni", barycentrics, uv[faces[triangles]])
+        return lookup_repeating(texture, where).astype(np.float64)
+
+    return at
 
 
 def with_plain_terms(validation: ValidationScene) -> Asset:
