@@ -23,7 +23,7 @@ CASES = {
 }
 """Scene, and the most that bounces and the bake may be off: 1.4 times what was measured.
 
-Bounces err by their 256 rays a vertex, as does the direct light of the first four scenes, the share
+Bounces err by their 256 rays a vertex, as does the direct light of the sphere, the furnace and the plates, the share
 of these rays that escapes; the bake by its 642 SRBFs as well.
 """
 
