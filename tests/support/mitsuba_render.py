@@ -1,10 +1,10 @@
-"""The same scene, light, camera and number of bounces in Mitsuba 3 and in the path tracer.
+"""The same scene, light, camera, bounces and number of paths in Mitsuba 3 and in the path tracer.
 
 Both are one-sided: a surface is black from behind.  Both pictures are means over the pixels' squares
 (box filter), and both come in independent parts that give their variance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -15,14 +15,18 @@ from prtbake_workers.brdf.ggx import smith_g1, trowbridge_reitz
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.render.metrics import REL_MSE_FLOOR, rel_mse
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
 from support.bounce_scenes import opaque
 
 mi.set_variant("scalar_rgb")
 
-FINER = 8
+FINER = 16
 """Mitsuba interpolates the texels that we hold constant: ours are repeated this often, each way."""
+
+N_PARTS = 4
+"""Independent pictures that each picture is the mean of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,37 @@ class Picture:
         return cls(parts.mean(axis=0), parts.var(axis=0, ddof=1) / len(parts))
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """Of one picture with another, over the pixels in which either shows anything.
+
+    ``rel_mse`` is the project's metric, ``noise`` the part of it to be expected of two pictures with
+    these variances, ``floor`` what two such pictures of the other renderer would differ by, ``ratio``
+    that of the mean radiances and ``ratio_error`` its standard error.
+    """
+
+    rel_mse: float
+    noise: float
+    floor: float
+    ratio: float
+    ratio_error: float
+
+    @classmethod
+    def between(cls, ours, theirs):
+        mask = ours.mean.any(axis=2) | theirs.mean.any(axis=2)
+        reference = theirs.mean[mask]
+        scale = reference**2 + REL_MSE_FLOOR * (reference**2).mean()
+        variance = ours.variance + theirs.variance
+        return cls(
+            rel_mse(ours.mean.astype(np.float32), theirs.mean.astype(np.float32), mask),
+            float((variance[mask] / scale).mean()),
+            float((2.0 * theirs.variance[mask] / scale).mean()),
+            float(ours.mean.sum() / theirs.mean.sum()),
+            # the channels of one path move together
+            float(np.sqrt(3.0 * variance.sum()) / theirs.mean.sum()),
+        )
+
+
 def faceted(mesh):
     """The mesh with the normals of its faces."""
     positions = mesh.positions[mesh.faces].reshape(-1, 3)
@@ -78,8 +113,11 @@ def faceted(mesh):
     return Mesh(positions, faces, np.repeat(normals, 3, axis=0))
 
 
-def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_samples, n_parts=4):
-    """Render by Mitsuba's path integrator; returns the picture and the camera's ray function."""
+def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_paths):
+    """Render by Mitsuba's path integrator, ``n_paths`` a pixel, four times a square number.
+
+    Returns the picture and the camera's corner rays.
+    """
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -104,7 +142,7 @@ def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_samples, n_parts=4):
                     "rfilter": {"type": "box"},
                     "component_format": "float32",
                 },
-                "sampler": {"type": "independent"},
+                "sampler": {"type": "multijitter"},
             },
         }
         | {
@@ -113,51 +151,56 @@ def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_samples, n_parts=4):
         }
     )
     parts = [
-        np.array(mi.render(scene, spp=n_samples // n_parts, seed=seed))[..., :3]
-        for seed in range(n_parts)
+        np.array(mi.render(scene, spp=n_paths // N_PARTS, seed=seed))[..., :3]
+        for seed in range(N_PARTS)
     ]
     return Picture.of(parts), _corner_rays(scene.sensors()[0], view)
 
 
-def by_paths(meshes, brdfs, light, view, n_bounces, corners, *, n_rays, n_samples):
-    """Render by the path tracer: ``n_rays`` through each pixel, ``n_samples`` paths each."""
+def by_paths(meshes, brdfs, light, view, n_bounces, corners, *, n_paths, per_side):
+    """Render by the path tracer, ``n_paths`` a pixel, shared by jittered cells of it.
+
+    Each part of the picture has ``per_side`` x ``per_side`` of them.  Returns the picture, and the
+    mean of the same paths without their last bounce.
+    """
     scene = Scene.from_parts(meshes)
     surface, rng = opaque(scene), np.random.default_rng(7)
     materials = [PathMaterial(brdf) for brdf in brdfs]
-    n_pixels = view.width * view.height
+    size, n_cells = (view.height, view.width), per_side**2
+    rows, columns = (grid.ravel() for grid in np.indices(size))
     origin, across, down = corners
-    parts = np.zeros((n_rays, n_pixels, 3))
-    for index in range(n_rays):
-        u = (np.tile(np.arange(view.width), view.height) + rng.random(n_pixels)) / view.width
-        v = (np.repeat(np.arange(view.height), view.width) + rng.random(n_pixels)) / view.height
+    eyes = np.tile(np.asarray(view.eye, np.float32), (len(rows), 1))
+    parts, last = np.zeros((N_PARTS, len(rows), 3)), np.zeros((len(rows), 3))
+    for index in range(N_PARTS * n_cells):
+        part, cell = divmod(index, n_cells)
+        u = (columns + (cell % per_side + rng.random(len(rows))) / per_side) / view.width
+        v = (rows + (cell // per_side + rng.random(len(rows))) / per_side) / view.height
         rays = origin + u[:, None] * across + v[:, None] * down
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        hits = surface.intersect(
-            np.tile(np.asarray(view.eye, np.float32), (n_pixels, 1)), rays.astype(np.float32)
-        )
+        hits = surface.intersect(eyes, rays.astype(np.float32))
         points, front = PathPoints.seen(
             scene, hits.triangles, hits.barycentrics, -rays[hits.rays],
             np.zeros(len(hits.rays), np.bool_),
         )  # fmt: skip
         found = trace_paths(
-            surface, materials, points.pick(front), light, np.eye(3),
-            n_bounces=n_bounces, n_passes=1, n_samples=n_samples, seed=index,
+            surface, materials, points.pick(front), light, np.eye(3), n_bounces=n_bounces,
+            n_passes=1, n_samples=n_paths // (N_PARTS * n_cells), seed=index,
         )  # fmt: skip
-        parts[index, hits.rays[front]] = found.passes[0]
-    return Picture.of(parts.reshape(n_rays, view.height, view.width, 3))
-
-
-def relative_mse(ours, theirs):
-    """Mean of (a - b)^2 / (b^2 + (mean / 10)^2), and the part of it that is noise of the two."""
-    scale = theirs.mean**2 + (0.1 * theirs.mean.mean()) ** 2
-    whole = ((ours.mean - theirs.mean) ** 2 / scale).mean()
-    return whole, ((ours.variance + theirs.variance) / scale).mean()
+        seen = hits.rays[front]
+        parts[part, seen] += found.mean / n_cells
+        last[seen] += found.by_bounce[-1] / (N_PARTS * n_cells)
+    picture = Picture.of(parts.reshape(N_PARTS, *size, 3))
+    return picture, replace(picture, mean=picture.mean - last.reshape(*size, 3))
 
 
 def _bitmap(light):
-    fine = np.repeat(np.repeat(light.radiance, FINER, axis=0), FINER, axis=1)
+    """Our texels for Mitsuba, whose first and last rows lie on the poles, not beside them."""
+    fine = np.repeat(light.radiance, FINER, axis=0)
+    # a row on the edge between two texels is their mean
+    rows = 0.5 * (np.concatenate([fine[:1], fine]) + np.concatenate([fine, fine[-1:]]))
+    both = np.repeat(rows, FINER, axis=1)
     # Mitsuba's u has its zero at -z, ours half a turn away
-    return mi.Bitmap(np.ascontiguousarray(np.roll(fine, fine.shape[1] // 2, axis=1)))
+    return mi.Bitmap(np.ascontiguousarray(np.roll(both, both.shape[1] // 2, axis=1)))
 
 
 def _bsdf(brdf):

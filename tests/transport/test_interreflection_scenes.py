@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from prtbake_workers.brdf.lambert import Lambert
-from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.procedural import constant
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -17,6 +16,7 @@ from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
+from support.analytic_scenes import half_sky
 from support.bounce_scenes import (
     ball,
     ball_lights_plane,
@@ -29,13 +29,6 @@ from support.bounce_scenes import (
 )
 
 N_RAYS = 256
-
-
-def half_sky():
-    """Radiance 1 from above the horizon, nothing from below."""
-    radiance = np.zeros((64, 128, 3), np.float32)
-    radiance[:32] = 1.0
-    return Environment(radiance)
 
 
 def operator(scene, albedo, n_rays=N_RAYS, seed=2):
@@ -73,22 +66,6 @@ def traced(scene, albedos, vertices, light, n_bounces, *, n_samples=256, n_passe
         seed=4,
     )
     return found.mean, np.sqrt(found.variance)
-
-
-# --- a sphere under constant light: the radiance is the albedo, whatever the bounces
-
-
-def test_sphere_under_constant_light():
-    scene = Scene.from_parts([ball(2)])
-    albedo = [0.7, 0.5, 0.2]
-    block = operator(scene, Albedo.constant(*albedo))
-    found, report = series(scene, block.escaped, block, 3)
-    assert (found == 1.0).all()
-    assert report.n_bounces == 0
-    mean, error = traced(scene, [albedo], np.arange(40), constant(16), 3)
-    # under the balance heuristic a constant light is not without variance
-    assert error.max() < 5e-3
-    assert (np.abs(mean - albedo) < 4.0 * error + 1e-9).all()
 
 
 # --- white furnace: in a spherical bowl of share s every point sees the share s of bowl,
