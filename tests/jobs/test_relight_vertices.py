@@ -12,7 +12,7 @@ from prtbake_storage.hdf5.transfer import (
     join_transfer,
     write_transfer_tile,
 )
-from prtbake_workers.jobs.validate import READ_CHUNKS, relight_vertices
+from prtbake_workers.jobs.validate import READ_CHUNKS, light_rows, relight_vertices
 
 TERMS, COEFFS = 16, 642
 STEP = READ_CHUNKS * transfer_chunk_vertices(TERMS, COEFFS)
@@ -75,3 +75,18 @@ def test_what_lies_between_the_vertices_is_not_read(transfer, rng):
     tracemalloc.stop()
     # one chunk of the file and its float32 copy take 3 MiB; the whole file takes 250 MiB so
     assert peak < 2**23
+
+
+def test_each_colour_is_lit_by_its_own_channel(rng):
+    rows = rng.standard_normal((3 * TERMS, 20))
+    light = rng.standard_normal((20, 6))
+    got = light_rows(rows, light, 3)
+    for column in range(6):
+        for term in range(TERMS):
+            expected = rows[(column % 3) * TERMS + term] @ light[:, column]
+            assert got[term, column] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    # one channel lights all colours, which is what three equal ones do
+    same = np.tile(rows[:TERMS], (3, 1))
+    np.testing.assert_allclose(
+        light_rows(same, light, 3), contract(rows[:TERMS], light, 1), rtol=1e-12, atol=1e-12
+    )

@@ -247,9 +247,7 @@ def test_indirect_light_is_the_total_less_the_direct(nook):
     assert found.indirect.mean(axis=0) == pytest.approx(found.by_bounce[1:].sum(axis=0), rel=1e-12)
     # the negative twin: the first bounce counted as direct
     with pytest.raises(AssertionError):
-        assert_same_expectation(
-            apart, replace(inner, passes=found.indirect - found.by_bounce[1])
-        )
+        assert_same_expectation(apart, replace(inner, passes=found.indirect - found.by_bounce[1]))
     # without the rays towards the light at the points it is the same indirect light
     alone = trace(nook, NOOK_MATERIALS, points, light, **options, indirect_only=True)
     np.testing.assert_allclose(alone.indirect, found.indirect, rtol=1e-12)

@@ -171,6 +171,7 @@ def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStor
         settings,
         n_terms=max(part.n_terms for part in header.parts),
         n_dirs=3 * header.provenance["bake"]["cube_resolution"] ** 2,
+        baked_bounces=bool(header.provenance.get("interreflection")),
     )
     return _only("validate", seconds)
 

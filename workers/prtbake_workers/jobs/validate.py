@@ -163,7 +163,8 @@ def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
     """Contract stored coefficients of some vertices of a part, in rising order, with light.
 
     Columns of light are triples of colours, and transfer of three channels lights each colour by
-    its own.  Coefficients are read a few chunks of the file at a time; chunks without a vertex are not read.
+    its own.  Coefficients are read a few chunks of the file at a time; chunks without a vertex are
+    not read.
     """
     with open_transfer(path) as transfer:
         own = transfer.header.parts[part]
@@ -177,11 +178,11 @@ def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
             chosen = vertices[run]
             block = transfer.read(part, int(chosen[0]), int(chosen[-1]) + 1)
             for row, at in zip(run, chosen - chosen[0], strict=True):
-                result[row] = contract(block[at].astype(np.float64), light, n_channels)
+                result[row] = light_rows(block[at].astype(np.float64), light, n_channels)
     return result
 
 
-def contract(rows: F64, light: F64, n_channels: int) -> F64:
+def light_rows(rows: F64, light: F64, n_channels: int) -> F64:
     """Light the coefficients of one vertex.
 
     Parameters

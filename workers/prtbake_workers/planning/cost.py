@@ -20,6 +20,9 @@ BOUNCE_RAYS_PER_SECOND = 5.0e5
 SPARSE_FLOPS_PER_SECOND = 2.0e9
 TRANSFER_SAMPLES_PER_SECOND = 1.5e8
 """Products psi * V * cos built for the projection, one term of one direction each."""
+PATHS_PER_SECOND = 4.0e5
+"""With all bounces, where two in three leave an open scene at once; a closed room takes four times
+as long."""
 GZIP_BYTES_PER_SECOND = 3.0e7
 CHILD_START_S = 1.5
 TILE_SECONDS = 8.0
@@ -144,10 +147,14 @@ def fit_seconds(settings: FitLightSettings) -> float:
     return 2.0 + 0.05 * settings.n_lobes * settings.max_iterations
 
 
-def validate_seconds(settings: ValidateSettings, *, n_terms: int, n_dirs: int) -> float:
-    """Predict the seconds of all chains of pictures."""
+def validate_seconds(
+    settings: ValidateSettings, *, n_terms: int, n_dirs: int, baked_bounces: bool = False
+) -> float:
+    """Predict the seconds of all chains of pictures, with paths where the reference has bounces."""
     pixels = 0.5 * settings.width * settings.height
     samples = settings.passes * settings.samples
     one = pixels * samples * (4.0 / RAYS_PER_SECOND + 3.0 * n_terms / 2.0e7)
+    if settings.reference_bounces(baked=baked_bounces):
+        one += pixels * settings.passes * settings.paths / PATHS_PER_SECOND
     cells = pixels * n_dirs * (1.0 / RAYS_PER_SECOND + n_terms / TRANSFER_SAMPLES_PER_SECOND)
     return len(settings.cameras) * (len(settings.rotations_deg) * one + cells)

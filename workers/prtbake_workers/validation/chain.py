@@ -20,8 +20,8 @@ from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.validation.budget import Budget, ChainPicture, make_budget
 from prtbake_workers.validation.hits import PixelHits, trace_camera
-from prtbake_workers.validation.light import cell_flux, draw_pass, subdivided_texels
 from prtbake_workers.validation.indirect import PathLight
+from prtbake_workers.validation.light import cell_flux, draw_pass, subdivided_texels
 from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import (
     asset_picture,
@@ -59,9 +59,7 @@ MEANINGS = {
 }
 """What each picture of the chain adds over the one before it."""
 
-LINES = tuple(
-    name for name in MEANINGS if name not in (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE)
-)
+LINES = tuple(name for name in MEANINGS if name not in (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE))
 MERGED_LINES = (*LINES[:-2], MERGED_LINE)
 
 N_WITH_PATHS = LINES.index(STORED_LINE)
