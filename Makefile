@@ -5,11 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/pytest
 
-.PHONY: help setup gl demo ladder test bunny check bench serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure7 serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+	@grep -hE '^[a-z0-9]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9]+):.*## /  make \1\t/' | expand -t 16
 
 setup: $(STAMP) ## Build .venv with everything in it
 
@@ -58,6 +58,9 @@ format: setup ## Format and mend what can be mended
 bench: setup ## Speed, memory and error beside a limit measured in the same run
 	$(BIN)/python tests/benchmarks/run.py
 
+figure7: setup ## Sloan's figure 7 in numbers: hemispherical projections compared, in figure7-output/
+	PYTHONPATH=tests $(BIN)/python -m figures.figure7 --to figure7-output
+
 serve: setup gl ## Service and two workers on loopback
 	$(BIN)/prtbake serve
 
@@ -70,4 +73,4 @@ lock: ## Pin and hash the requirements (needs uv)
 	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --group dev --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/dev.txt
 
 clean: ## Remove what the other targets built
-	rm -rf $(VENV) site demo-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site demo-output figure7-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
