@@ -88,5 +88,5 @@ def test_each_colour_is_lit_by_its_own_channel(rng):
     # one channel lights all colours, which is what three equal ones do
     same = np.tile(rows[:TERMS], (3, 1))
     np.testing.assert_allclose(
-        light_rows(same, light, 3), contract(rows[:TERMS], light, 1), rtol=1e-12, atol=1e-12
+        light_rows(same, light, 3), light_rows(rows[:TERMS], light, 1), rtol=1e-12, atol=1e-12
     )
