@@ -45,7 +45,9 @@ def test_every_promised_file_is_left(glossy_asset, store):
 
 def test_the_result_says_error_and_cost_of_every_stage(glossy_asset):
     result = finished(glossy_asset).result
-    assert set(result["errors"]) == {"plan", "bake", "compress", "quantise", "fit_light"}
+    assert set(result["errors"]) == {
+        "plan", "bake", "bounces", "compress", "quantise", "fit_light",
+    }  # fmt: skip
     assert all(0 <= error < 1 for stage in result["errors"].values() for error in stage.values())
     assert result["errors"]["bake"]["object"] > 0
     assert result["seconds"]["total"] > 0
@@ -84,6 +86,8 @@ def test_every_stage_says_the_bytes_that_it_left(glossy_asset, store):
     left = {
         "plan": [planned["scene"], planned["projection"]],
         "bake": [tile["tile"] for tile in results["bake"]],
+        "bounces": [block["bounces"] for block in results["bounces"]],
+        "add_bounces": [tile["tile"] for tile in results["add_bounces"]],
         "join": [results["join"][0]["transfer"]],
         "compress": [part["factors"] for part in results["compress"]],
         "quantise": [quantised["asset"], quantised["exact"]],

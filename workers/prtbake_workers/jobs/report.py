@@ -95,7 +95,7 @@ def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> 
     return {
         "name": name,
         "tiles": len(results[name]),
-        "seconds": sum(one.seconds for one in measured),
+        "seconds": sum((one.seconds for one in measured), start=0.0),
         "peak_memory_bytes": max((one.peak_memory_bytes for one in measured), default=0),
         "predicted_seconds": plan["seconds"].get(name) if plan else None,
         "errors": errors,

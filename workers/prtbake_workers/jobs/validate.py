@@ -168,7 +168,7 @@ def relight_vertices(path: Path, part: int, vertices: I64, light: F64) -> F64:
     """
     with open_transfer(path) as transfer:
         own = transfer.header.parts[part]
-        n_channels = getattr(own, "n_channels", 1)
+        n_channels = own.n_channels
         result = np.zeros((len(vertices), own.n_terms, light.shape[1]))
         step = READ_CHUNKS * transfer_chunk_vertices(n_channels * own.n_terms, len(light))
         gaps = np.flatnonzero(np.diff(vertices // step)) + 1

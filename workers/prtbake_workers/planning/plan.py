@@ -218,6 +218,7 @@ def make_plan(
             settings.validation,
             n_terms=max(part_terms),
             n_dirs=3 * settings.bake.cube_resolution**2,
+            baked_bounces=bounces is not None,
         ),
     }
     if bounces is not None:
