@@ -66,9 +66,11 @@ def held_out_energies(
     cube = cube_directions(RESOLUTION)
     directions = cube.directions @ _random_turn(rng)
     vertices = start + chosen
-    normals = scene.normals[vertices]
     received = visible_cosine(
-        SurfacePoints(scene.positions[vertices], normals, normals),
+        # where the rays of the bake start, or light would leak in at open edges and creases
+        SurfacePoints(
+            scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+        ),
         directions,
         accelerator,
         ray_epsilon(scene.bounds),
