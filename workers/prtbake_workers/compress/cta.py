@@ -5,7 +5,6 @@ of each cluster and re-classifying the vertices, and an approximation phase that
 view basis shared by all clusters.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ from prtbake_workers.compress.inputs import (
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
+from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
     project_view,
@@ -53,8 +53,6 @@ SWEEPS = 2
 APPROXIMATION_ITERATIONS = 3
 CONVERGED = 1e-3
 
-Progress = Callable[[float, str], None]
-
 
 def compress_cta(
     transfer: Float[NDArray[Any], "verts terms coeffs"],
@@ -64,7 +62,7 @@ def compress_cta(
     seed: int,
     max_iterations: int = 10,
     vertex_weights: NDArray[Any] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> CtaModel:
     """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
 
@@ -122,12 +120,8 @@ def compress_cta(
 
     with same_bytes_on_any_threads():
         fit = _Fit(t, weights, ranks, n_clusters, np.random.default_rng(seed), max_iterations)
-        fit.run(progress or _no_progress)
+        fit.run(progress)
         return fit.model(seed, notes)
-
-
-def _no_progress(fraction: float, state: str) -> None:
-    """Report to nobody."""
 
 
 def _fitting_ranks(
