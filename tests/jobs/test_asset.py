@@ -282,8 +282,17 @@ def test_estimate_plans_without_running(glossy_asset, store):
     quick = {"request": {"kind": "asset", **request}}
     results = run_stages(REGISTRY.stages("estimate", quick, context), store)
     estimate = REGISTRY.finish("estimate", quick, context, results).result
-    assert estimate["total_seconds"] > 0
+    assert estimate["total_seconds"] == pytest.approx(sum(estimate["seconds"].values()))
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
+    # with more workers it lasts less, down to what no other worker can help with
+    lasting = {}
+    for slots in (0, 1, 2, 1000):
+        stages = REGISTRY.stages("estimate", quick, context | {"tile_slots": slots})
+        lasting[slots] = run_stages(stages, store)["estimate"][0]["total_seconds"]
+        assert lasting[slots] <= estimate["total_seconds"]
+    assert lasting[0] == lasting[1] > lasting[2] >= lasting[1000]
+    alone = sum(estimate["seconds"][name] for name in ("plan", "fit_light", "render"))
+    assert lasting[1000] > alone
 
 
 def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):

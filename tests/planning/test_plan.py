@@ -7,6 +7,7 @@ from prtbake_workers.basis.srbf import SrbfBasis, default_bandwidth
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.cost import CHILD_START_S
 from prtbake_workers.planning.effects import Decision
 from prtbake_workers.planning.plan import MOST_BANDWIDTH, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import LADDER, resolve_stages
@@ -48,6 +49,22 @@ def test_predictions_grow_with_what_they_predict():
     assert high.parts[0].cost.bake_seconds > low.parts[0].cost.bake_seconds
     assert high.artefact_bytes["transfer.h5"] > low.artefact_bytes["transfer.h5"]
     assert high.peak_memory_bytes > low.peak_memory_bytes
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_seconds_of_a_bake_are_those_of_its_tiles_added_up(threads):
+    """As the report adds up what it measures: each tile costs a start, whatever runs beside it."""
+    found = {}
+    for tile in (CHUNK, 10_000):
+        bake = {"tile_vertices": tile, "threads": threads}
+        scene, plan = plan_of(resolve_stages("medium", AssetSettings(bake=bake)), 16)
+        found[len(plan.parts[0].tiles)] = plan
+    n_tiles = -(-scene.n_vertices // CHUNK)
+    assert set(found) == {1, n_tiles}
+    more = found[n_tiles].seconds["bake"] - found[1].seconds["bake"]
+    assert more == pytest.approx((n_tiles - 1) * CHILD_START_S, rel=1e-9)
+    work = found[1].seconds["bake"] - CHILD_START_S
+    assert work == pytest.approx(found[1].parts[0].cost.bake_seconds / threads, rel=1e-9)
 
 
 @pytest.mark.parametrize("n_centres", [42, 162, 642])

@@ -82,7 +82,9 @@ class JobService:
                 id=new_id("estimate"),
                 kind="estimate",
                 request={"request": request.model_dump(mode="json")},
-                context=self._resolver.resolve(request),
+                # how long it lasts depends on how many tasks can run beside each other
+                context=self._resolver.resolve(request)
+                | {"tile_slots": self._backend.tile_slots()},
                 project=self._project,
                 internal=True,
                 quick=True,

@@ -54,12 +54,12 @@ def main() -> None:
 
 
 def _run(order: dict[str, Any], send: Any) -> dict[str, Any]:
+    started = time.perf_counter()
     task = order["task"]
     _limit(task["memory_bytes"], task["cpu_seconds"])
     from prtbake_storage.blobs.opening import open_store
     from prtbake_storage.queue.context import TaskContext
 
-    started = time.perf_counter()
     scratch = Path(order["scratch"])
     store = open_store(order["store_url"], incoming=scratch)
     module, name = task["function"].split(":")

@@ -47,7 +47,10 @@ class PartPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that was decided before the first ray of the bake."""
+    """All that was decided before the first ray of the bake.
+
+    ``seconds`` of a stage are those of its tasks, added up: its work, not its duration.
+    """
 
     parts: tuple[PartPlan, ...]
     effects: tuple[Decision, ...]
@@ -151,7 +154,9 @@ def make_plan(
     tiles = sum(len(part.tiles) for part in parts)
     seconds = {
         "plan": CHILD_START_S + 2.0,
-        "bake": (tiles * CHILD_START_S + sum(part.cost.bake_seconds for part in parts)) / 2,
+        # as the report measures it: summed over the tiles, whose threads work side by side
+        "bake": tiles * CHILD_START_S
+        + sum(part.cost.bake_seconds for part in parts) / settings.bake.threads,
         "compress": compress_seconds([part.cost for part in parts]),
         "fit_light": fit_seconds(settings.fit_light),
         "render": 5.0,
