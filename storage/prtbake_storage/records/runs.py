@@ -5,7 +5,7 @@ the same job.  Each change is a compare-and-set against the states it may follow
 them wins and the other learns of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -238,16 +238,30 @@ class Runs:
             _end(session, row, state, None if asked else stop.error)
             return True
 
-    def unfinished(self, *, limit: int = 1000) -> list[Unfinished]:
-        """Jobs that are not terminal, oldest first."""
-        with self._database.read() as session:
-            rows = session.execute(
-                sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority)
-                .where(_UNFINISHED)
-                .order_by(JobRow.created, JobRow.id)
-                .limit(limit)
-            )
-            return [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+    def unfinished(self, *, page: int = 1000) -> Iterator[list[Unfinished]]:
+        """Yield all jobs that are not terminal, at most ``page`` at a time.
+
+        First those that somebody wants cancelled; among equals the oldest first.
+        """
+        asked = JobRow.state == JobState.cancel_requested.value
+        for which in (asked, sa.and_(_UNFINISHED, sa.not_(asked))):
+            beyond: sa.ColumnElement[bool] = sa.true()
+            while True:
+                with self._database.read() as session:
+                    rows = session.execute(
+                        sa.select(
+                            JobRow.id, JobRow.state, JobRow.quick, JobRow.priority, JobRow.created
+                        )
+                        .where(which, beyond)
+                        .order_by(JobRow.created, JobRow.id)
+                        .limit(page)
+                    ).all()
+                if not rows:
+                    break
+                yield [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+                last_id, created = rows[-1][0], rows[-1][4]
+                same_time = sa.and_(JobRow.created == created, JobRow.id > last_id)
+                beyond = sa.or_(JobRow.created > created, same_time)
 
     def given(self) -> list[Given]:
         """Tell what all jobs that are not terminal were given."""

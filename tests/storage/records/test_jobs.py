@@ -51,6 +51,22 @@ def test_a_submitted_job_comes_back_whole(database: Database) -> None:
     assert context_of(database, "a") == {"mesh": "m"}
 
 
+@pytest.mark.parametrize("page", [1, 2, 3, 100])
+def test_all_unfinished_jobs_are_found_page_by_page(database: Database, page: int) -> None:
+    for index in range(7):
+        put_in_state(database, f"r{index}", (JobState.queued, JobState.running)[index % 2])
+    for index in range(3):
+        put_in_state(database, f"c{index}", JobState.cancel_requested)
+    put_in_state(database, "over", JobState.failed)
+    with database.write() as session:  # the clock may stand still between two submissions
+        session.execute(sa.update(JobRow).values(created=datetime(2026, 1, 1, tzinfo=UTC)))
+    pages = list(Runs(database).unfinished(page=page))
+    found = [job.job_id for jobs in pages for job in jobs]
+    assert found == ["c0", "c1", "c2", *(f"r{index}" for index in range(7))]
+    assert max(len(jobs) for jobs in pages) <= page
+    assert all(pages)
+
+
 def test_nobody_sees_another_projects_job(database: Database) -> None:
     jobs = Jobs(database)
     jobs.create(new_job("a", project="mine"))
