@@ -224,7 +224,7 @@ def test_an_operator_sees_what_would_go_and_then_lets_it_go(
     )
     output = subprocess.check_output([sys.executable, "-c", program], env=environment)
     said = [json.loads(line) for line in output.splitlines()]
-    went = {"n_blobs": 2, "n_bytes": 3 + 71, "n_results": 2}
+    went = {"n_blobs": 2, "n_bytes": 3 + 71, "n_results": 2, "n_jobs": 0}
     assert said[0] == went | {"dry_run": True}
     assert said[1] == went | {"dry_run": False}
     assert stored(store) == []

@@ -35,6 +35,9 @@ from prtbake_workers.planning.presets import StageSettings, resolve_compression,
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
+BAKE_STAGES = ("plan", "bake")
+BAKE_FILES = ("transfer.h5",)
+"""What a lone bake runs and leaves, of the plan of a whole asset."""
 
 
 def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
@@ -102,10 +105,10 @@ def _scene(
         },
         store,
     )
-    stages = set(plan.seconds)
-    if isinstance(request, BakeRequest):
-        stages &= {"plan", "bake"}
-    seconds = {name: plan.seconds[name] for name in plan.seconds if name in stages}
+    alone = isinstance(request, BakeRequest)
+    stages = BAKE_STAGES if alone else tuple(plan.seconds)
+    seconds = {name: plan.seconds[name] for name in stages}
+    files = BAKE_FILES if alone else tuple(plan.artefact_bytes)
     tasks = {
         "bake": sum(len(part.tiles) for part in plan.parts),
         "compress": len(plan.parts),
@@ -115,8 +118,10 @@ def _scene(
         plan=plan.to_dict(),
         seconds=seconds,
         total_seconds=_duration(seconds, tasks, given),
-        artefact_bytes=plan.artefact_bytes,
-        peak_memory_bytes=plan.peak_memory_bytes,
+        artefact_bytes={name: plan.artefact_bytes[name] for name in files},
+        peak_memory_bytes=max(
+            count for stage, count in plan.memory_bytes.items() if stage in stages
+        ),
         errors={
             f"K terms ({part['name']})": factorisation.energy_lost
             for part, factorisation in zip(
