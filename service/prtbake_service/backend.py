@@ -22,6 +22,7 @@ from prtbake_storage.records import (
     Workers,
     create_database,
 )
+from prtbake_storage.records.workers import Worker
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,19 @@ class Backend:
 
     def workers_alive(self) -> int:
         """Count the workers whose heart beat lately."""
+        return len(self._alive())
+
+    def tile_slots(self) -> int:
+        """Count the tasks that live workers can run beside each other."""
+        return sum(worker.tile_slots for worker in self._alive())
+
+    def _alive(self) -> list[Worker]:
         limit_s = self.settings.worker_dead_after.total_seconds()
-        return sum(
-            worker.state == "up" and worker.age_s <= limit_s for worker in self.workers.all()
-        )
+        return [
+            worker
+            for worker in self.workers.all()
+            if worker.state == "up" and worker.age_s <= limit_s
+        ]
 
 
 def backend_of(request: Request) -> Backend:

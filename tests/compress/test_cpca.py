@@ -85,6 +85,18 @@ def test_three_equal_channels_are_one(diffuse):
     assert three.objective == pytest.approx([3.0 * value for value in one.objective], rel=1e-4)
 
 
+def test_progress_rises_to_one_with_every_iteration(diffuse):
+    seen = []
+    model = compress_cpca(diffuse, 6, 3, seed=0, progress=lambda f, state: seen.append((f, state)))
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions[0] == 0.0
+    assert fractions[-1] == 1.0
+    assert np.all(np.diff(fractions) > 0)
+    # the start, each clustering iteration, the end
+    assert len(seen) == model.iterations + 2
+    assert seen[-1][1] == f"error {model.objective[-1] / model.initial_energy:.3%}"
+
+
 def test_same_seed_same_bytes(diffuse):
     first, again = (compress_cpca(diffuse, 6, 4, seed=3) for _ in range(2))
     for name in ("means", "components", "weights", "labels"):

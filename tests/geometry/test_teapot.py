@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
+from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.loading import load_mesh
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors, vertex_normals
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.teapot import control_points, teapot
 from prtbake_workers.geometry.topology import count_components, find_edges
 

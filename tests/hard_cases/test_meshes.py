@@ -7,10 +7,11 @@ import pytest
 import trimesh
 
 from prtbake_storage.errors import MeshError
-from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
+from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.loading import load_mesh
 from prtbake_workers.geometry.mesh import face_area_vectors
 from prtbake_workers.geometry.primitives import sphere_mesh
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.teapot import teapot
@@ -243,7 +244,8 @@ def test_scenes_of_any_size_have_the_same_visibility(rng, make):
         plane = receiver_plane(mesh.bounds, resolution=9, extent=2.0, gap=0.0)
         scene = Scene.from_parts([mesh, plane])
         accelerator = Accelerator(scene.positions, scene.faces)
-        origins = offset_origins(scene.positions, scene.normals, ray_epsilon(scene.bounds))
+        epsilon = ray_epsilon(scene.bounds)
+        origins = offset_origins(scene.ray_points, scene.ray_sides, epsilon)
         above = scene.normals @ directions.T > 0.0
         vertex, direction = np.nonzero(above)
         seen.append(accelerator.occluded(origins[vertex], directions[direction].astype(np.float32)))

@@ -286,8 +286,43 @@ def test_estimate_plans_without_running(glossy_asset, store):
     quick = {"request": {"kind": "asset", **request}}
     results = run_stages(REGISTRY.stages("estimate", quick, context), store)
     estimate = REGISTRY.finish("estimate", quick, context, results).result
-    assert estimate["total_seconds"] > 0
+    assert estimate["total_seconds"] == pytest.approx(sum(estimate["seconds"].values()))
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
+    assert set(estimate["seconds"]) == {
+        "plan", "bake", "compress", "fit_light", "render", "validate",
+    }  # fmt: skip
+    assert set(estimate["artefact_bytes"]) == {"transfer.h5", "asset.h5"}
+    # with more workers it lasts less, down to what no other worker can help with
+    lasting = {}
+    for slots in (0, 1, 2, 1000):
+        stages = REGISTRY.stages("estimate", quick, context | {"tile_slots": slots})
+        lasting[slots] = run_stages(stages, store)["estimate"][0]["total_seconds"]
+        assert lasting[slots] <= estimate["total_seconds"]
+    assert lasting[0] == lasting[1] > lasting[2] >= lasting[1000]
+    alone = sum(estimate["seconds"][name] for name in ("plan", "fit_light", "render"))
+    assert lasting[1000] > alone
+
+
+def test_the_estimate_of_a_bake_holds_what_a_bake_does(glossy_asset, store):
+    """Not what compressing would hold and leave."""
+    request, context, _ = glossy_asset
+    found = {}
+    for n_centres, resolution in ((42, 4), (642, 24)):
+        bake = {"n_centres": n_centres, "cube_resolution": resolution, "n_terms": 4}
+        fields = {name: request[name] for name in ("mesh", "brdf")}
+        asset = {"kind": "asset", "environment": request["environment"], "settings": {"bake": bake}}
+        for body in ({"kind": "bake", "settings": bake}, asset):
+            stages = REGISTRY.stages("estimate", {"request": body | fields}, context)
+            found[body["kind"], n_centres] = run_stages(stages, store)["estimate"][0]
+    for n_centres in (42, 642):
+        alone, whole = found["bake", n_centres], found["asset", n_centres]
+        assert set(alone["seconds"]) == {"plan", "bake"}
+        assert set(alone["artefact_bytes"]) == {"transfer.h5"}
+        assert alone["artefact_bytes"]["transfer.h5"] == whole["artefact_bytes"]["transfer.h5"]
+        memory = alone["plan"]["memory_bytes"]
+        assert alone["peak_memory_bytes"] == max(memory["plan"], memory["bake"])
+    # compressing takes more of the little one: it is none of the bake's business
+    assert found["asset", 42]["peak_memory_bytes"] > found["bake", 42]["peak_memory_bytes"]
 
 
 def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):

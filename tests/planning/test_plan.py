@@ -8,6 +8,7 @@ from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning import plan as plan_module
+from prtbake_workers.planning.cost import CHILD_START_S
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.plan import MOST_BANDWIDTH, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import LADDER, resolve_stages
@@ -77,6 +78,22 @@ def test_more_channels_mean_more_bytes_and_smaller_tiles():
     grey, coloured = (plan_of(settings, 4, share=0.1, coloured=c)[1] for c in (False, True))
     assert coloured.artefact_bytes["transfer.h5"] == 3 * grey.artefact_bytes["transfer.h5"]
     assert coloured.seconds["bounces"] > grey.seconds["bounces"]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_seconds_of_a_bake_are_those_of_its_tiles_added_up(threads):
+    """As the report adds up what it measures: each tile costs a start, whatever runs beside it."""
+    found = {}
+    for tile in (CHUNK, 10_000):
+        bake = {"tile_vertices": tile, "threads": threads}
+        scene, plan = plan_of(resolve_stages("medium", AssetSettings(bake=bake)), 16)
+        found[len(plan.parts[0].tiles)] = plan
+    n_tiles = -(-scene.n_vertices // CHUNK)
+    assert set(found) == {1, n_tiles}
+    more = found[n_tiles].seconds["bake"] - found[1].seconds["bake"]
+    assert more == pytest.approx((n_tiles - 1) * CHILD_START_S, rel=1e-9)
+    work = found[1].seconds["bake"] - CHILD_START_S
+    assert work == pytest.approx(found[1].parts[0].cost.bake_seconds / threads, rel=1e-9)
 
 
 @pytest.mark.parametrize("n_centres", [42, 162, 642])

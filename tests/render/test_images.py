@@ -1,6 +1,9 @@
 """Pictures as files."""
 
 import io
+import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +88,47 @@ def test_textures_are_decoded_to_linear_light() -> None:
     for bad in (b"", b"not a picture", png_bytes(grey)[:40]):
         with pytest.raises(InputError, match="no picture"):
             read_albedo_texture(bad)
+
+
+def test_every_code_of_a_texture_is_decoded_as_the_formula_says() -> None:
+    codes = np.arange(256 * 3, dtype=np.uint16).reshape(16, 16, 3).astype(np.uint8)
+    expected = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in codes.ravel() / 255.0
+    ]
+    found = read_albedo_texture(png_bytes(codes))
+    assert found.dtype == np.float32
+    # float32
+    np.testing.assert_allclose(found.ravel(), expected, rtol=1e-7)
+
+
+def png_header(width: int, height: int) -> bytes:
+    """A PNG that says how large it is, and holds nothing."""
+    chunk = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    body = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return b"\x89PNG\r\n\x1a\n" + body + struct.pack(">I", 0) + b"IDAT"
+
+
+# ours; what the picture library warns of; what it refuses itself
+@pytest.mark.parametrize("size", [(8192, 8193), (10_000, 10_000), (16_384, 16_384)])
+def test_textures_of_too_many_pixels_are_refused_before_they_are_decoded(
+    size: tuple[int, int],
+) -> None:
+    with pytest.raises(InputError, match=r"pixels: at most 67108864 are taken"):
+        read_albedo_texture(png_header(*size))
+    # the negative twin: one of the largest size gets as far as the pixels that are not there
+    with pytest.raises(InputError, match="no picture"):
+        read_albedo_texture(png_header(8192, 8192))
+
+
+def test_decoding_a_texture_takes_little_more_than_its_result() -> None:
+    side = 512
+    data = png_bytes(np.full((side, side, 3), 188, np.uint8))
+    tracemalloc.start()
+    read_albedo_texture(data)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # 12 bytes a pixel are the result, 3 to 6 its codes; through float64 it took 106
+    assert peak < 24 * side**2
 
 
 def test_animations_keep_their_frames() -> None:

@@ -25,10 +25,11 @@ def test_health_needs_no_key(service: LiveService) -> None:
 
 def test_workers_are_counted(service: LiveService) -> None:
     workers = service.backend.workers
-    workers.beat("w-1", host="here", pid=1, tile_slots=1)
+    workers.beat("w-1", host="here", pid=1, tile_slots=3)
     workers.beat("w-2", host="here", pid=2, tile_slots=1)
     workers.mark_gone("w-2")
     assert get(service, "/readyz").json()["workers"] == 1
+    assert service.backend.tile_slots() == 3
     assert "prtbake_workers_alive 1.0" in get(service, "/metrics").text
     workers.forget(["w-1", "w-2"])
 

@@ -1,6 +1,7 @@
 import httpx
 import pytest
 
+from prtbake.retrying import BUSY
 from prtbake_service.jobs.service import QUICK_TIMEOUT_S
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
@@ -109,6 +110,20 @@ def test_a_fault_of_ours_is_no_refusal(service: LiveService, http, kind, status:
     answer = http.post("/v1/environments", json=body, headers=PATIENT)
     assert answer.status_code == status
     assert ("retry-after" in answer.headers) == (status == 503)
+
+
+@pytest.mark.parametrize("code", ["cpu-limit", "out-of-memory"])
+def test_a_file_beyond_the_parsers_limits_is_not_asked_for_again(
+    service: LiveService, http: httpx.Client, code: str
+) -> None:
+    body = {"builtin": {"name": "hall", "width": {"cpu-limit": 24, "out-of-memory": 40}[code]}}
+    error = JobError(kind="input", code=code, detail="it needs more than it has")
+    service.answer_next("register", lambda job: service.fail(job, error))
+    answer = http.post("/v1/environments", json=body, headers=PATIENT)
+    assert (answer.status_code, answer.json()["code"]) == (413, code)
+    assert "retry-after" not in answer.headers
+    # the client of ours would have it parsed twice more
+    assert answer.status_code not in BUSY
 
 
 def test_the_blob_must_be_there(http: httpx.Client) -> None:

@@ -85,10 +85,6 @@ def test_random_frames_change_no_picture(store, plain):
     turned = chain(store, Camera(), [np.eye(3)], bake={"frame_seed": 3})
     for name in ("K terms", "vertex interpolation", "SRBF basis", "16-bit transfer"):
         assert relative_difference(picture(turned[0], name), picture(plain[0], name)) < 1e-3
-    # a cut to fewer ranks is another one in other frames, but each is within its own error
-    error = plain[0].budget.lines[LINES.index("compression") - 1].error
-    other = turned[0].budget.lines[LINES.index("compression") - 1].error
-    assert relative_difference(turned[0].delivered, plain[0].delivered) < error + other + 1e-3
 
 
 def test_random_frames_change_no_delivered_picture(store):

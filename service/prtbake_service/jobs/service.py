@@ -12,10 +12,12 @@ from prtbake_service.jobs.references import AnyRequest, Resolver
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobState, job_request_adapter
 from prtbake_storage.errors import Conflict, InputError, PrtError
+from prtbake_storage.queue.failures import LIMITS
 from prtbake_storage.records import NewJob
 
 log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
+TOO_LARGE = 413
 PARSE_PREFIX = "parse-"
 ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
 QUICK_TIMEOUT_S = 600.0
@@ -80,7 +82,9 @@ class JobService:
                 id=new_id("estimate"),
                 kind="estimate",
                 request={"request": request.model_dump(mode="json")},
-                context=self._resolver.resolve(request),
+                # how long it lasts depends on how many tasks can run beside each other
+                context=self._resolver.resolve(request)
+                | {"tile_slots": self._backend.tile_slots()},
                 project=self._project,
                 internal=True,
                 quick=True,
@@ -159,8 +163,19 @@ def failure_of(job: Job) -> PrtError:
     """Return the error of a quick job that did not succeed."""
     if job.error is None:
         return ProblemError(500, "internal", f"the quick job {job.id} was {job.state}")
-    status = STATUS_OF_KIND[job.error.kind]
-    return ProblemError(status, job.error.code, job.error.detail, pointer=job.error.pointer)
+    error = job.error
+    return ProblemError(
+        status_of(error.kind, error.code), error.code, error.detail, pointer=error.pointer
+    )
+
+
+def status_of(kind: str, code: str) -> int:
+    """Return the HTTP status for a quick job's error.
+
+    What comes to the limits of its own parsing is too large: to say 503 would invite the caller to
+    send it again.
+    """
+    return TOO_LARGE if kind == "input" and code in LIMITS else STATUS_OF_KIND[kind]
 
 
 def new_id(kind: str) -> str:

@@ -193,7 +193,11 @@ class JobPage(Wire):
 
 
 class Estimate(Wire):
-    """What a job would do and cost, without running it; None stands for what is not predicted."""
+    """What a job would do and cost, without running it; None stands for what is not predicted.
+
+    ``seconds`` are those of each stage's tasks, added up; ``total_seconds`` is how long the job
+    would last on the workers that live now, if it had them for itself.
+    """
 
     plan: dict[str, Any]
     seconds: dict[str, float]

@@ -159,7 +159,7 @@ def _outcome(answer: dict[str, Any], status: int, tail: deque[str], task: Task) 
     last = tail[-1] if tail else "it left no message"
     if status == -signal.SIGXCPU:
         detail = f"{task.title} used more than {task.cpu_seconds} s of CPU time"
-        raise TaskFailed(JobError(kind="resource", code="cpu-limit", detail=detail))
+        raise TaskFailed(JobError(kind="input", code="cpu-limit", detail=detail))
     how = f"was killed by {signal.Signals(-status).name}" if status < 0 else f"exited with {status}"
     detail = f"the process of {task.title} {how}: {last}"
     # a signal is the system's doing (out of memory, a crash in native code): it may pass

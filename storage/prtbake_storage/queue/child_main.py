@@ -45,21 +45,21 @@ def main() -> None:
     try:
         send(_run(order, send))
     except MemoryError:
-        send(_failure(MemoryError()))
+        send(_failure(_memory_error(order["task"]), order["task"]))
     except Exception as error:  # noqa: BLE001 - the boundary: whatever it is, the parent must hear
         traceback.print_exc()
-        send(_failure(error))
+        send(_failure(error, order["task"]))
     channel.close()
     os._exit(0)  # a library's stray thread must not keep a finished task alive
 
 
 def _run(order: dict[str, Any], send: Any) -> dict[str, Any]:
+    started = time.perf_counter()
     task = order["task"]
     _limit(task["memory_bytes"], task["cpu_seconds"])
     from prtbake_storage.blobs.opening import open_store
     from prtbake_storage.queue.context import TaskContext
 
-    started = time.perf_counter()
     scratch = Path(order["scratch"])
     store = open_store(order["store_url"], incoming=scratch)
     module, name = task["function"].split(":")
@@ -87,10 +87,19 @@ def peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _failure(error: BaseException) -> dict[str, Any]:
+def _memory_error(task: dict[str, Any]) -> MemoryError:
+    """Make an error without the frames, and so the arrays, of the one that was raised."""
+    if task["memory_bytes"] is None:
+        return MemoryError()
+    allowed = f"{task['memory_bytes'] / (1 << 30):.3g} GiB"
+    return MemoryError(f"{task['label'] or task['function']} needs more than the {allowed} it has")
+
+
+def _failure(error: BaseException, task: dict[str, Any]) -> dict[str, Any]:
     from prtbake_storage.queue.failures import describe, may_pass
 
-    return {"error": describe(error).model_dump(), "retryable": may_pass(error)}
+    told = describe(error, limited=task["memory_bytes"] is not None)
+    return {"error": told.model_dump(), "retryable": may_pass(error)}
 
 
 def _die_with_parent() -> None:

@@ -19,6 +19,10 @@ SHUTDOWN = "shutdown"
 """Reason of a `TaskStopped` that means this worker, and not the job."""
 
 
+LIMITS = frozenset({"cpu-limit", "out-of-memory"})
+"""Codes of a task that came to a limit set for it: what it was given to read is at fault."""
+
+
 class TaskFailed(Exception):
     """A task reported an error; ``retryable`` says whether another attempt may help."""
 
@@ -45,8 +49,12 @@ def may_pass(error: BaseException) -> bool:
     return False
 
 
-def describe(error: BaseException) -> JobError:
-    """Say what went wrong: our errors by their kind, the system's by what ran out or broke off."""
+def describe(error: BaseException, *, limited: bool = False) -> JobError:
+    """Say what went wrong: our errors by their kind, the system's by what ran out or broke off.
+
+    ``limited`` tells that memory was limited for the task's own sake: asking for more is then the
+    fault of what it was given, and no machine would do better.
+    """
     if isinstance(error, TaskFailed):
         return error.error
     if isinstance(error, PrtError):
@@ -56,7 +64,8 @@ def describe(error: BaseException) -> JobError:
         )
     if isinstance(error, MemoryError):
         detail = str(error) or "the task ran out of memory"
-        return JobError(kind="resource", code="out-of-memory", detail=detail)
+        kind = "input" if limited else "resource"
+        return JobError(kind=kind, code="out-of-memory", detail=detail)
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return JobError(kind="resource", code="disk-full", detail=str(error))
     if isinstance(error, OSError) and may_pass(error):

@@ -31,7 +31,8 @@ class Task:
         BLAS and OpenMP threads.  They are part of the name, because one thread or two changes the
         last bits of a matrix product.
     memory_bytes, cpu_seconds
-        Limits of the child process (address space, CPU time), for parsers of untrusted files.
+        Limits of the child process (address space, CPU time), for parsers of untrusted files and
+        for what a legal request can ask too much of.  Coming to one is an error of kind ``input``.
     """
 
     function: str

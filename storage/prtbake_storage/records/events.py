@@ -11,6 +11,9 @@ from prtbake_storage.records.database import Database
 from prtbake_storage.records.models import EventRow, JobRow
 from prtbake_storage.records.rows import to_event
 
+MOST_PROGRESS = 100
+"""Progress events that an ended job keeps."""
+
 EventType = Literal["state", "progress", "log"]
 
 
@@ -23,6 +26,22 @@ def append_event(session: Session, job_id: str, kind: EventType, data: dict[str,
     """
     session.execute(sa.select(JobRow.id).where(JobRow.id == job_id).with_for_update())
     session.add(EventRow(job_id=job_id, type=kind, data=data, created=utc_now()))
+
+
+def thin_progress(session: Session, job_id: str) -> None:
+    """Leave evenly spread progress events of an ended job, `MOST_PROGRESS` at most, its last too.
+
+    While it runs there is one a second, for those who watch: of a week 600,000.
+    """
+    own = sa.and_(EventRow.job_id == job_id, EventRow.type == "progress")
+    count = session.scalar(sa.select(sa.func.count()).select_from(EventRow).where(own)) or 0
+    if count <= MOST_PROGRESS:
+        return
+    step = -(-count // MOST_PROGRESS)
+    place = sa.func.row_number().over(order_by=EventRow.id.desc()) - 1
+    numbered = sa.select(EventRow.id, place.label("place")).where(own).subquery()
+    dropped = sa.select(numbered.c.id).where(numbered.c.place % step != 0)
+    session.execute(sa.delete(EventRow).where(EventRow.id.in_(dropped)))
 
 
 class Events:

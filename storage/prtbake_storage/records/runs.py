@@ -5,7 +5,7 @@ the same job.  Each change is a compare-and-set against the states it may follow
 them wins and the other learns of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from prtbake_storage.contract.jobs import TERMINAL, JobError, JobState, Progress
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
-from prtbake_storage.records.events import append_event
+from prtbake_storage.records.events import append_event, thin_progress
 from prtbake_storage.records.models import ArtefactRow, JobRow, TaskProgressRow
 from prtbake_storage.records.resources import settle_resource
 from prtbake_storage.records.transitions import before
@@ -238,16 +238,30 @@ class Runs:
             _end(session, row, state, None if asked else stop.error)
             return True
 
-    def unfinished(self, *, limit: int = 1000) -> list[Unfinished]:
-        """Jobs that are not terminal, oldest first."""
-        with self._database.read() as session:
-            rows = session.execute(
-                sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority)
-                .where(_UNFINISHED)
-                .order_by(JobRow.created, JobRow.id)
-                .limit(limit)
-            )
-            return [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+    def unfinished(self, *, page: int = 1000) -> Iterator[list[Unfinished]]:
+        """Yield all jobs that are not terminal, at most ``page`` at a time.
+
+        First those that somebody wants cancelled; among equals the oldest first.
+        """
+        asked = JobRow.state == JobState.cancel_requested.value
+        for which in (asked, sa.and_(_UNFINISHED, sa.not_(asked))):
+            beyond: sa.ColumnElement[bool] = sa.true()
+            while True:
+                with self._database.read() as session:
+                    rows = session.execute(
+                        sa.select(
+                            JobRow.id, JobRow.state, JobRow.quick, JobRow.priority, JobRow.created
+                        )
+                        .where(which, beyond)
+                        .order_by(JobRow.created, JobRow.id)
+                        .limit(page)
+                    ).all()
+                if not rows:
+                    break
+                yield [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+                last_id, created = rows[-1][0], rows[-1][4]
+                same_time = sa.and_(JobRow.created == created, JobRow.id > last_id)
+                beyond = sa.or_(JobRow.created > created, same_time)
 
     def given(self) -> list[Given]:
         """Tell what all jobs that are not terminal were given."""
@@ -274,5 +288,6 @@ def _end(session: Session, row: JobRow, state: JobState, error: JobError | None)
     row.stopping = None
     row.finished = utc_now()
     _move(session, row, state)
+    thin_progress(session, row.id)
     session.execute(sa.delete(TaskProgressRow).where(TaskProgressRow.job_id == row.id))
     settle_resource(session, row)

@@ -109,11 +109,12 @@ def test_an_end_without_result_is_told_by_kind(
 def test_memory_and_time_are_limited(run: Run) -> None:
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "memory"}, memory_bytes=1 << 30)
-    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "out-of-memory")
+    assert (caught.value.error.kind, caught.value.error.code) == ("input", "out-of-memory")
+    assert caught.value.error.detail == "child_tasks:fail needs more than the 1 GiB it has"
     assert not caught.value.retryable
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "cpu"}, cpu_seconds=1)
-    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "cpu-limit")
+    assert (caught.value.error.kind, caught.value.error.code) == ("input", "cpu-limit")
 
 
 def test_a_module_that_is_not_there_is_an_error_and_no_hang(run: Run) -> None:

@@ -121,6 +121,19 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.statuses(["ended"]) == {}
 
 
+def test_a_lost_submission_is_found_behind_any_number_of_older_jobs(
+    database: Database, queue: JobQueue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(Runs.unfinished.__kwdefaults__, "page", 2)
+    jobs = Jobs(database)
+    for index in range(5):
+        jobs.create(NewJob(id=f"older-{index}", kind="toy", request={}))
+        queue.submit(f"older-{index}")
+    jobs.create(NewJob(id="lost", kind="toy", request={}))
+    assert reconcile_once(database, queue) == 1
+    assert queue.statuses(["lost"]) == {"lost": "ENQUEUED"}
+
+
 def test_a_workflow_that_ends_before_its_job_begins_is_made_anew_a_few_times(
     database: Database, queue: JobQueue
 ) -> None:

@@ -1,5 +1,6 @@
 """SRBF bases of one bandwidth on fixed centres: evaluation, metric, projection, light."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +21,7 @@ from prtbake_workers.basis.projection import RIDGE, SrbfProjection, project
 
 __all__ = [
     "SrbfBasis",
+    "WhitenedBasis",
     "abel_poisson",
     "abel_poisson_product_integral",
     "default_bandwidth",
@@ -110,6 +112,32 @@ def default_bandwidth(n_centres: int) -> float:
     return 60.0 * n_centres / 642.0
 
 
+@dataclass(frozen=True)
+class WhitenedBasis:
+    """A basis whose Gram matrix was solved before: all that evaluates the whitened functions.
+
+    Attributes
+    ----------
+    centres
+        Unit vectors.
+    bandwidth
+        Of all of them.
+    inv_sqrt_gram
+        G^(-1/2).
+    """
+
+    centres: Float64[F64, "coeffs 3"]
+    bandwidth: float
+    inv_sqrt_gram: Float64[F64, "coeffs coeffs"]
+
+    def reconstruction_matrix(
+        self, directions: Float64[F64, "dirs 3"]
+    ) -> Float64[F64, "dirs coeffs"]:
+        """Tabulate the whitened basis ``Y G^(-1/2)``: orthonormal functions on the sphere."""
+        values = gaussian(directions @ self.centres.T, self.bandwidth)
+        return np.asarray(values @ self.inv_sqrt_gram)
+
+
 class SrbfBasis:
     """Gaussian SRBFs of one bandwidth on fixed centres, used through whitened coefficients.
 
@@ -166,6 +194,11 @@ class SrbfBasis:
         """Condition number of the Gram matrix."""
         return self.whitening.condition
 
+    @property
+    def whitened(self) -> WhitenedBasis:
+        """What evaluates the whitened functions."""
+        return WhitenedBasis(self.centres, self.bandwidth, self.whitening.inv_sqrt_gram)
+
     @cached_property
     def gram(self) -> Float64[F64, "coeffs coeffs"]:
         """Product integrals of the basis with itself."""
@@ -178,8 +211,8 @@ class SrbfBasis:
     def reconstruction_matrix(
         self, directions: Float64[F64, "dirs 3"]
     ) -> Float64[F64, "dirs coeffs"]:
-        """Tabulate the whitened basis ``Y G^(-1/2)``: orthonormal functions on the sphere."""
-        return np.asarray(self.evaluate(directions) @ self.whitening.inv_sqrt_gram)
+        """Tabulate the whitened basis, see `WhitenedBasis`."""
+        return self.whitened.reconstruction_matrix(directions)
 
     def projection(
         self,

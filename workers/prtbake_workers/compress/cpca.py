@@ -25,6 +25,7 @@ from prtbake_workers.compress.inputs import (
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
+from prtbake_workers.compress.progress import Progress, no_progress
 
 METHODS = ("static",)
 
@@ -38,6 +39,7 @@ def compress_cpca(
     seed: int,
     max_iterations: int = 40,
     vertex_weights: NDArray[Any] | None = None,
+    progress: Progress = no_progress,
 ) -> CpcaModel:
     """Approximate each row of ``signal`` by its cluster's mean and principal components.
 
@@ -57,6 +59,8 @@ def compress_cpca(
     vertex_weights
         Weight of each vertex in the squared error, >= 0, e.g. its area; ones when None.  Vertices
         of weight zero are approximated by what serves the others.
+    progress
+        Called with the fraction done and a word on the state, once an iteration.
 
     Raises
     ------
@@ -94,7 +98,7 @@ def compress_cpca(
     checked_count(max_iterations, "max_iterations")
 
     with same_bytes_on_any_threads():
-        return _fit(x, weights, n_clusters, n_components, seed, max_iterations, notes)
+        return _fit(x, weights, n_clusters, n_components, seed, max_iterations, notes, progress)
 
 
 def _fit(
@@ -105,14 +109,18 @@ def _fit(
     seed: int,
     max_iterations: int,
     notes: list[str],
+    progress: Progress,
 ) -> CpcaModel:
     """Cluster, then fit a PCA in each cluster."""
+    progress(0.0, "initial clusters")
     clusters = lbg(
         x,
         n_clusters,
         rng=np.random.default_rng(seed),
         weights=weights,
         max_iterations=max_iterations,
+        # the components cost about as much as one iteration
+        progress=lambda done, state: progress(done * max_iterations / (max_iterations + 1), state),
     )
     used, labels = np.unique(clusters.labels, return_inverse=True)
     if len(used) < n_clusters:
@@ -123,6 +131,7 @@ def _fit(
     trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "CPCA")
     for value in (*clusters.objective, float(weights @ errors)):
         trace.append(value)
+    progress(1.0, f"error {trace.ratio:.3%}")
     return CpcaModel(
         means=clusters.means[used],
         components=components,

@@ -9,7 +9,6 @@ other.  They share the view basis; what it leaves of them, channels * R_view row
 further in that mode, so a vertex's one set of weights serves all colours.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -42,6 +41,7 @@ from prtbake_workers.compress.inputs import (
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
+from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
     project_view,
@@ -58,8 +58,6 @@ SWEEPS = 2
 APPROXIMATION_ITERATIONS = 3
 CONVERGED = 1e-3
 
-Progress = Callable[[float, str], None]
-
 
 def compress_cta(
     transfer: Float[NDArray[Any], "verts rows coeffs"],
@@ -70,7 +68,7 @@ def compress_cta(
     max_iterations: int = 10,
     vertex_weights: NDArray[Any] | None = None,
     n_channels: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> CtaModel:
     """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
 
@@ -138,12 +136,8 @@ def compress_cta(
     with same_bytes_on_any_threads():
         rng = np.random.default_rng(seed)
         fit = _Fit(t, weights, ranks, n_clusters, n_channels, rng, max_iterations)
-        fit.run(progress or _no_progress)
+        fit.run(progress)
         return fit.model(seed, notes)
-
-
-def _no_progress(fraction: float, state: str) -> None:
-    """Report to nobody."""
 
 
 def _fitting_ranks(

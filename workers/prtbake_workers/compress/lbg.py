@@ -19,6 +19,7 @@ from prtbake_workers.compress.clusters import (
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order
+from prtbake_workers.compress.progress import Progress, no_progress
 
 # Seeds are drawn from this many vertices a cluster: enough to meet every region of the signal,
 # and few enough that seeding costs less than one iteration.
@@ -56,6 +57,7 @@ def lbg(
     weights: Float64[F64, " verts"],
     max_iterations: int,
     tolerance: float = 1e-4,
+    progress: Progress = no_progress,
 ) -> LbgResult:
     """Cluster the rows of ``signal`` by their distance to the clusters' means.
 
@@ -73,6 +75,8 @@ def lbg(
     max_iterations, tolerance
         Stop after so many iterations, when none moves, or when one wins less than this share of
         the objective.
+    progress
+        Called after each iteration.
 
     Notes
     -----
@@ -83,11 +87,12 @@ def lbg(
     means = _seed_means(signal, n_clusters, rng, weights)
     state = _Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
     trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
-    for _ in range(max_iterations):
+    for iteration in range(max_iterations):
         n_moved = _classify(signal, state)
         refill_empty_clusters(signal, state.labels, state.squared_distances, weights, n_clusters)
         _update_means(signal, state, weights)
         trace.append(float(weights @ state.squared_distances))
+        progress((iteration + 1) / max_iterations, f"clustering, error {trace.ratio:.3%}")
         if n_moved == 0 or trace.has_converged(tolerance):
             break
     return LbgResult(state.labels, state.means, trace.values, state.squared_distances)

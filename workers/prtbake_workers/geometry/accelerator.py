@@ -7,9 +7,6 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
-from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon, self_hit_count
-
-__all__ = ["Accelerator", "Hits", "offset_origins", "ray_epsilon", "self_hit_count"]
 
 RAYS_PER_CALL = 1 << 16
 """Rays are moved into the scene's frame in blocks that stay in the cache (0.8 MB)."""

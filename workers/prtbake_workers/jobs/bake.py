@@ -27,6 +27,7 @@ from prtbake_workers.jobs import bounce
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
+    centres_and_bandwidth,
     read_projection,
     read_scene,
     reflection_of,
@@ -224,7 +225,7 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     basis = planned.basis()
     directions = cube_directions(planned.header["bake"]["cube_resolution"])
     projection = basis.projection(directions.directions, directions.weights)
-    projected = write_projection(context.scratch / "projection.h5", projection)
+    projected = write_projection(context.scratch / "projection.h5", projection, basis.whitened)
     path = write_scene(context.scratch / "scene.h5", planned)
     return {
         "scene": context.store.put_file(path, move=True),
@@ -248,7 +249,7 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     directions = cube_directions(bake["cube_resolution"])
     occluders = planned.occluders(args["part"])
     factorisation = planned.factorisations[args["part"]]
-    projection = read_projection(context.store.local_path(args["projection"]))
+    projection, basis = read_projection(context.store.local_path(args["projection"]))
     span = args["start"], args["stop"]
     block = bake_block(
         planned.scene,
@@ -268,7 +269,7 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         span,
         block.coefficients,
         factorisation=factorisation,
-        basis=planned.basis(),
+        basis=basis,
         seed=args["start"],
     )
     packed = quantise_transfer(block.coefficients)
@@ -338,14 +339,14 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 factorisation=factorisation.tables(),
             )
         )
-    basis = planned.basis()
+    centres, bandwidth = centres_and_bandwidth(bake)
     header = TransferHeader(
         positions=scene.positions,
         faces=scene.faces,
         normals=scene.normals,
         uv=None if scene.uv is None else np.nan_to_num(scene.uv),
-        centres=basis.centres,
-        bandwidth=basis.bandwidth,
+        centres=centres,
+        bandwidth=bandwidth,
         parts=tuple(parts),
         provenance=planned.header["provenance"] | {"bake": bake},
     )

@@ -167,6 +167,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             method="static",
             seed=args["seed"],
             max_iterations=args["max_iterations"],
+            progress=progress,
             vertex_weights=weights,
         )
         ranks = np.ones((cpca.n_clusters, 3), np.int32)

@@ -35,6 +35,9 @@ from prtbake_workers.planning.presets import StageSettings, resolve_compression,
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
+BAKE_STAGES = ("plan", "bake", "bounces")
+BAKE_FILES = ("transfer.h5",)
+"""What a lone bake runs and leaves, of the plan of a whole asset."""
 
 
 def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
@@ -68,14 +71,14 @@ def estimate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         case AssetRequest() | BakeRequest():
             predicted = _scene(request, args["request"], given, store)
         case CompressRequest():
-            predicted = _compress(request.settings, given["artefacts"], store)
+            predicted = _compress(request.settings, given, store)
         case FitLightRequest():
             load_environment(store, given["environment"]["canonical"])
-            predicted = _only("fit_light", fit_seconds(request.settings))
+            predicted = _only("fit_light", fit_seconds(request.settings), 1, given)
         case RenderRequest():
             for name, read in (("asset", read_asset), ("light", read_light)):
                 read(store.local_path(given["artefacts"][name]["digest"]))
-            predicted = _only("render", None)
+            predicted = _only("render", None, 1, given)
         case ValidateRequest():
             predicted = _validate(request.settings, given, store)
     return predicted.model_dump(mode="json")
@@ -102,16 +105,24 @@ def _scene(
         },
         store,
     )
-    stages = set(plan.seconds)
-    if isinstance(request, BakeRequest):
-        stages &= {"plan", "bake", "bounces"}
-    seconds = {name: plan.seconds[name] for name in plan.seconds if name in stages}
+    alone = isinstance(request, BakeRequest)
+    stages = tuple(name for name in plan.seconds if name in BAKE_STAGES or not alone)
+    seconds = {name: plan.seconds[name] for name in stages}
+    files = BAKE_FILES if alone else tuple(plan.artefact_bytes)
+    tasks = {
+        "bake": sum(len(part.tiles) for part in plan.parts),
+        "bounces": 0 if plan.bounces is None else len(plan.bounces.blocks),
+        "compress": len(plan.parts),
+        "validate": len(settings.validation.cameras),
+    }
     return Estimate(
         plan=plan.to_dict(),
         seconds=seconds,
-        total_seconds=sum(seconds.values()),
-        artefact_bytes=plan.artefact_bytes,
-        peak_memory_bytes=plan.peak_memory_bytes,
+        total_seconds=_duration(seconds, tasks, given),
+        artefact_bytes={name: plan.artefact_bytes[name] for name in files},
+        peak_memory_bytes=max(
+            count for stage, count in plan.memory_bytes.items() if stage in stages
+        ),
         errors={
             f"K terms ({part['name']})": factorisation.energy_lost
             for part, factorisation in zip(
@@ -122,9 +133,9 @@ def _scene(
     )
 
 
-def _compress(settings: CompressSettings, artefacts: dict[str, Any], store: BlobStore) -> Estimate:
+def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
     """Predict from the header of the transfer."""
-    with open_transfer(store.local_path(artefacts["transfer"]["digest"])) as transfer:
+    with open_transfer(store.local_path(given["artefacts"]["transfer"]["digest"])) as transfer:
         header = transfer.header
     bake = BakeSettings.model_validate({"n_centres": len(header.centres)})
     plan: dict[str, Any] = {"kind": "compress", "parts": []}
@@ -150,11 +161,11 @@ def _compress(settings: CompressSettings, artefacts: dict[str, Any], store: Blob
                 n_channels=part.n_channels,
             )
         )
-    seconds = compress_seconds(costs)
+    seconds = {"compress": compress_seconds(costs)}
     return Estimate(
         plan=plan,
-        seconds={"compress": seconds},
-        total_seconds=seconds,
+        seconds=seconds,
+        total_seconds=_duration(seconds, {"compress": len(costs)}, given),
         artefact_bytes={"asset.h5": sum(cost.asset_bytes for cost in costs)},
         peak_memory_bytes=compress_memory_bytes(costs),
         errors={},
@@ -173,19 +184,26 @@ def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStor
         n_dirs=3 * header.provenance["bake"]["cube_resolution"] ** 2,
         baked_bounces=bool(header.provenance.get("interreflection")),
     )
-    return _only("validate", seconds)
+    return _only("validate", seconds, len(settings.cameras), given)
 
 
-def _only(kind: str, seconds: float | None) -> Estimate:
+def _only(kind: str, seconds: float | None, n_tasks: int, given: dict[str, Any]) -> Estimate:
     """Predict the seconds of a job of one stage, or nothing."""
+    work = {} if seconds is None else {kind: seconds}
     return Estimate(
         plan={"kind": kind},
-        seconds={} if seconds is None else {kind: seconds},
-        total_seconds=seconds,
+        seconds=work,
+        total_seconds=_duration(work, {kind: n_tasks}, given) if work else None,
         artefact_bytes={},
         peak_memory_bytes=None,
         errors={},
     )
+
+
+def _duration(seconds: dict[str, float], tasks: dict[str, int], given: dict[str, Any]) -> float:
+    """Predict how long a job lasts: the tasks of a stage share the slots of all live workers."""
+    slots: int = max(1, given.get("tile_slots", 1))
+    return sum(work / min(slots, tasks.get(stage, 1)) for stage, work in seconds.items())
 
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:

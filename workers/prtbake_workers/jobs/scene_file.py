@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
-from prtbake_workers.arrays import F32, Float32
+from prtbake_workers.arrays import F32, F64, Float32
 from prtbake_workers.basis.projection import SrbfProjection
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.srbf import SrbfBasis, WhitenedBasis, default_bandwidth
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
@@ -69,24 +69,36 @@ def reflection_of(
     return tuple(factorisations), albedo
 
 
+def centres_and_bandwidth(bake: Mapping[str, Any]) -> tuple[F64, float]:
+    """Tell the functions that bake settings name, without solving for their Gram matrix."""
+    centres = icosphere(SUBDIVISIONS[bake["n_centres"]])
+    return centres, bake["bandwidth"] or default_bandwidth(len(centres))
+
+
 def make_basis(bake: Mapping[str, Any]) -> SrbfBasis:
     """Make the basis that bake settings name."""
-    return SrbfBasis(icosphere(SUBDIVISIONS[bake["n_centres"]]), bake["bandwidth"])
+    return SrbfBasis(*centres_and_bandwidth(bake))
 
 
 _PROJECTION_ARRAYS = ("matrix", "samples", "weights", "gram")
+_BASIS_ARRAYS = ("centres", "inv_sqrt_gram")
 
 
-def write_projection(path: Path, projection: SrbfProjection) -> Path:
+def write_projection(path: Path, projection: SrbfProjection, basis: WhitenedBasis) -> Path:
     """Write what every tile of a bake projects with, so that none solves for it again."""
     arrays = {name: getattr(projection, name) for name in _PROJECTION_ARRAYS}
-    return write_bundle(path, arrays, {"ridge": projection.ridge}, gzip_level=0)
+    arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
+    header = {"ridge": projection.ridge, "bandwidth": basis.bandwidth}
+    return write_bundle(path, arrays, header, gzip_level=0)
 
 
-def read_projection(path: Path) -> SrbfProjection:
-    """Read a projection."""
+def read_projection(path: Path) -> tuple[SrbfProjection, WhitenedBasis]:
+    """Read a projection and the basis that it is for."""
     arrays, header = read_bundle(path)
-    return SrbfProjection(**arrays, ridge=header["ridge"])
+    basis = WhitenedBasis(
+        **{name: arrays.pop(name) for name in _BASIS_ARRAYS}, bandwidth=header["bandwidth"]
+    )
+    return SrbfProjection(**arrays, ridge=header["ridge"]), basis
 
 
 def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:

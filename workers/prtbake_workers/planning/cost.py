@@ -28,6 +28,10 @@ CHILD_START_S = 1.5
 TILE_SECONDS = 8.0
 """A tile is the unit of resumption: long against its start, short against a human's patience."""
 TILE_BYTES = 400_000_000
+CHILD_BYTES = 130_000_000
+"""The interpreter with what a bake imports."""
+WORKSPACE_BYTES = 60_000_000
+"""Of each thread of a tile."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,21 @@ def tile_vertices(
         vertex_bytes = 4 * n_channels * n_terms * settings.n_centres
         wanted = min(TILE_SECONDS / seconds, TILE_BYTES / vertex_bytes, 16384)
     return chunk * max(1, int(wanted // chunk))
+
+
+def plan_memory_bytes(bake: BakeSettings) -> int:
+    """Predict the peak memory of planning: basis and projection, without scene and texture."""
+    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
+    return CHILD_BYTES + 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
+
+
+def tile_memory_bytes(bake: BakeSettings, *, n_terms: int, n_verts: int) -> int:
+    """Predict the peak memory of a tile, without the scene: what it reads, makes and packs."""
+    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
+    # basis and projection in float64, in float32, and every thread's share of the latter
+    projection = (8 + 8 + 4 + 4 * bake.threads) * n_dirs * n_coeffs + 32 * n_coeffs**2
+    values = n_verts * n_terms * n_coeffs
+    return CHILD_BYTES + projection + 6 * values + bake.threads * WORKSPACE_BYTES
 
 
 def part_cost(

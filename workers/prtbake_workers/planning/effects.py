@@ -13,9 +13,10 @@ from prtbake_storage.contract.settings import BakeSettings, Effects, Switch
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
-from prtbake_workers.geometry.accelerator import Accelerator, offset_origins, ray_epsilon
+from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.topology import count_components, find_edges
 from prtbake_workers.planning.decision import Decision, settle

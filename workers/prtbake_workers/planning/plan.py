@@ -18,6 +18,8 @@ from prtbake_workers.planning.cost import (
     compress_seconds,
     fit_seconds,
     part_cost,
+    plan_memory_bytes,
+    tile_memory_bytes,
     tile_vertices,
     validate_seconds,
 )
@@ -68,15 +70,24 @@ class BouncePlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that was decided before the first ray of the bake."""
+    """All that was decided before the first ray of the bake.
+
+    ``seconds`` of a stage are those of its tasks, added up: its work, not its duration;
+    ``memory_bytes`` of a stage those of its largest process, where they are predicted.
+    """
 
     parts: tuple[PartPlan, ...]
     effects: tuple[Decision, ...]
     bounces: BouncePlan | None
     seconds: dict[str, float]
     artefact_bytes: dict[str, int]
-    peak_memory_bytes: int
+    memory_bytes: dict[str, int]
     notes: tuple[str, ...]
+
+    @property
+    def peak_memory_bytes(self) -> int:
+        """Memory of the largest process."""
+        return max(self.memory_bytes.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Give the plan as JSON."""
@@ -210,7 +221,9 @@ def make_plan(
     tiles = sum(len(part.tiles) for part in parts)
     seconds = {
         "plan": CHILD_START_S + 2.0,
-        "bake": (tiles * CHILD_START_S + sum(part.cost.bake_seconds for part in parts)) / 2,
+        # as the report measures it: summed over the tiles, whose threads work side by side
+        "bake": tiles * CHILD_START_S
+        + sum(part.cost.bake_seconds for part in parts) / settings.bake.threads,
         "compress": compress_seconds([part.cost for part in parts]),
         "fit_light": fit_seconds(settings.fit_light),
         "render": 5.0,
@@ -242,6 +255,17 @@ def make_plan(
             "transfer.h5": sum(part.cost.transfer_bytes for part in parts),
             "asset.h5": sum(part.cost.asset_bytes for part in parts),
         },
-        peak_memory_bytes=compress_memory_bytes([part.cost for part in parts]),
+        memory_bytes={
+            "plan": plan_memory_bytes(settings.bake),
+            "bake": max(
+                tile_memory_bytes(
+                    settings.bake,
+                    n_terms=part.n_terms,
+                    n_verts=max(stop - start for start, stop in part.tiles),
+                )
+                for part in parts
+            ),
+            "compress": compress_memory_bytes([part.cost for part in parts]),
+        },
         notes=(*notes, *resolution_notes(settings.bake)),
     )

@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.srbf import WhitenedBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -31,7 +31,7 @@ def held_out_energies(
     coefficients: Float32[F32, "verts terms coeffs"],
     *,
     factorisation: Factorisation,
-    basis: SrbfBasis,
+    basis: WhitenedBasis,
     seed: int,
 ) -> tuple[float, float]:
     """Estimate the squared norms of a block's transport and of what its coefficients miss of it.
@@ -66,9 +66,11 @@ def held_out_energies(
     cube = cube_directions(RESOLUTION)
     directions = cube.directions @ _random_turn(rng)
     vertices = start + chosen
-    normals = scene.normals[vertices]
     received = visible_cosine(
-        SurfacePoints(scene.positions[vertices], normals, normals),
+        # where the rays of the bake start, or light would leak in at open edges and creases
+        SurfacePoints(
+            scene.ray_points[vertices], scene.normals[vertices], scene.ray_sides[vertices]
+        ),
         directions,
         accelerator,
         ray_epsilon(scene.bounds),

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64
-from prtbake_workers.geometry.accelerator import Accelerator, offset_origins
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.ray_offset import offset_origins
 
 RAYS_PER_BLOCK = 400_000
 """Points x samples traced at once: 0.2 GB of rays, frames and BRDF values."""

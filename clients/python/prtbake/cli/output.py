@@ -105,7 +105,7 @@ def print_estimate(estimate: Estimate, output: Output) -> None:
     out.print(", ".join(parts) or "its inputs fit; what it costs is not predicted")
     table = Table(box=None, pad_edge=False)
     table.add_column("stage")
-    table.add_column("seconds", justify="right")
+    table.add_column("seconds of work", justify="right")
     for stage, seconds in estimate.seconds.items():
         table.add_row(stage, f"{seconds:.1f}")
     if table.row_count:
