@@ -78,7 +78,14 @@ def reconcile_once(
 
 
 class Reconciler:
-    """Reconciles in a thread of its own, at once and then every ``every_s`` seconds."""
+    """Reconciles in a thread of its own, at once and then every ``every_s`` seconds.
+
+    Parameters
+    ----------
+    retention_s
+        Age at which ended workflows are deleted, once an hour; without it none is.  Only the
+        workers, which this is a setting of, delete: nobody else knows what the operator wants.
+    """
 
     def __init__(
         self,
@@ -87,11 +94,11 @@ class Reconciler:
         *,
         every_s: float = 10.0,
         dead_after_s: float = 30.0,
-        retention_s: float = 7 * 86400.0,
+        retention_s: float | None = None,
     ) -> None:
         self._database, self._queue = database, queue
         self._every_s, self._dead_after_s = every_s, dead_after_s
-        self._retention = timedelta(seconds=retention_s)
+        self._retention_s = retention_s
         self._renewals: Counter[str] = Counter()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reconciler", daemon=True)
@@ -118,12 +125,17 @@ class Reconciler:
                 )
                 if since_prune >= PRUNE_EVERY_S:
                     since_prune = 0.0
-                    self._queue.prune((datetime.now(UTC) - self._retention).isoformat())
+                    self._prune()
             except Exception as error:  # noqa: BLE001 - the next round may find the database again
                 _log.warning("reconcile.failed", extra={"error": str(error)[:200]})
             if self._stop.wait(self._every_s):
                 return
             since_prune += self._every_s
+
+    def _prune(self) -> None:
+        if self._retention_s is not None:
+            limit = datetime.now(UTC) - timedelta(seconds=self._retention_s)
+            self._queue.prune(limit.isoformat())
 
 
 def _never_began(job: Unfinished, status: str) -> bool:
