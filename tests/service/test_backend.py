@@ -36,7 +36,9 @@ def leave_an_old_workflow(database_url: str) -> None:
     queue.submit("old")
     queue.cancel(["old"])
     queue.close()
-    with closing(sqlite3.connect(engine_url(database_url).removeprefix("sqlite:///"))) as connection:
+    with closing(
+        sqlite3.connect(engine_url(database_url).removeprefix("sqlite:///"))
+    ) as connection:
         ended_ms = int((time.time() - YEAR_S) * 1000)
         connection.execute("UPDATE workflow_status SET completed_at = ?", (ended_ms,))
         connection.commit()

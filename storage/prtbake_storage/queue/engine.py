@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
 from dbos._serialization import DefaultSerializer
 
+from prtbake_storage.contract.jobs import JobError
 from prtbake_storage.records.database import normalise_url
 
 APPLICATION = "prtbake"
@@ -30,9 +31,15 @@ every job at each edit."""
 
 JOBS, TASKS, QUICK = "jobs", "tiles", "quick"
 GIVEN_UP = "MAX_RECOVERY_ATTEMPTS_EXCEEDED"
+"""Status of a workflow that was lost with too many workers: `poison` is the error of its end."""
 ENDED = frozenset({"SUCCESS", "ERROR", "CANCELLED", GIVEN_UP})
 PARENT_LOSSES = 100
 """Workers that may be lost under a parent: the poison limit belongs to its tasks."""
+
+
+def poison(losses: str) -> JobError:
+    """Say that what was lost with so many workers is not given to another one."""
+    return JobError(kind="resource", code="poison-task", detail=f"{losses}: it is given up")
 
 
 class _Json(Serializer):

@@ -11,7 +11,7 @@ from collections import Counter
 from datetime import UTC, datetime, timedelta
 
 from prtbake_storage.contract.jobs import JobError, JobState
-from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue
+from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue, poison
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.runs import Runs, Stop, Unfinished
 from prtbake_storage.records.workers import Workers
@@ -146,8 +146,7 @@ def _verdict(job: Unfinished, status: str) -> Stop:
     if job.state == JobState.cancel_requested:
         return Stop(JobState.canceled)
     if status == GIVEN_UP:
-        detail = "too many workers were lost while they ran this job: it is given up"
-        return Stop(JobState.failed, JobError(kind="resource", code="poison-task", detail=detail))
+        return Stop(JobState.failed, poison("too many workers were lost while they ran this job"))
     detail = f"the engine ended this job as {status} while it was {job.state}"
     return Stop(JobState.failed, JobError(kind="internal", code="engine", detail=detail))
 

@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
-from prtbake_storage.queue.engine import JobQueue, engine_url
+from prtbake_storage.queue.engine import GIVEN_UP, JobQueue, engine_url
 from prtbake_storage.queue.reconcile import MOST_RENEWALS, reconcile_once
 from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
 from prtbake_storage.records.database import normalise_url
@@ -177,3 +177,10 @@ def test_one_module_knows_the_engine() -> None:
         if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.M)
     ]
     assert knowing == [package / "queue" / "engine.py"]
+
+
+def test_what_the_engine_calls_giving_up_is_said_once() -> None:
+    package = Path(prtbake_storage.__file__).parent
+    text = {path: path.read_text() for path in package.rglob("*.py")}
+    for words in (f'"{GIVEN_UP}"', '"poison-task"'):
+        assert [path for path in text if words in text[path]] == [package / "queue" / "engine.py"]

@@ -18,7 +18,7 @@ from child_tasks import TWO_STAGES
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import Job, JobState
 from prtbake_storage.queue import patience, stages
-from prtbake_storage.queue.engine import task_id
+from prtbake_storage.queue.engine import GIVEN_UP, task_id
 from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
@@ -224,3 +224,15 @@ def test_an_engine_whose_database_is_away_is_waited_for(
     submitted(services.database, "red")
     job = walk(services, queue)
     assert job.state == JobState.succeeded, job.error
+
+
+def test_a_task_that_too_many_workers_were_lost_with_fails_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queue, "statuses", lambda names: dict.fromkeys(names, GIVEN_UP))
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.error is not None
+    assert (job.state, job.error.kind, job.error.code) == ("failed", "resource", "poison-task")
+    lost = services.settings.worker_losses
+    assert job.error.detail.startswith(f"{lost} workers were lost while they ran this task")
