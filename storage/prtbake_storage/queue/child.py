@@ -50,6 +50,7 @@ _THREAD_VARIABLES = (
 def run_task_in_child(
     task: Task,
     *,
+    package: str,
     store_url: str,
     scratch: Path,
     on_message: Callable[[dict[str, Any]], None],
@@ -62,6 +63,8 @@ def run_task_in_child(
     ----------
     task
         What to run.
+    package
+        Where its function must be defined.
     store_url, scratch
         Where its blobs are; an empty folder that the caller removes.
     on_message
@@ -104,6 +107,7 @@ def run_task_in_child(
     try:
         order = {
             "task": task.to_dict(),
+            "package": package,
             "store_url": store_url,
             "scratch": str(scratch),
             "parent": os.getpid(),

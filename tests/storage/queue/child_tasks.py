@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import time
+from cProfile import run as profile  # noqa: F401 - for a test that no task may name it
 from typing import Any
 
 from prtbake_storage.errors import MeshError

@@ -37,13 +37,15 @@ def run(tmp_path: Path, messages: list[dict[str, Any]], monkeypatch: pytest.Monk
 
     def run(
         name: str,
-        args: dict[str, Any],
+        args: Any,
         stop: Callable[[], str | None] = lambda: None,
+        package: str = "child_tasks",
         **limits: int,
     ) -> Memory:
         with store.scratch() as scratch:
             return run_task_in_child(
-                Task(f"child_tasks:{name}", args, **limits),
+                Task(name if ":" in name else f"child_tasks:{name}", args, **limits),
+                package=package,
                 store_url=store.url,
                 scratch=scratch,
                 on_message=messages.append,
@@ -119,6 +121,26 @@ def test_memory_and_time_are_limited(run: Run) -> None:
 def test_a_module_that_is_not_there_is_an_error_and_no_hang(run: Run) -> None:
     with pytest.raises(TaskFailed, match="no_such"):
         run("no_such", {})
+
+
+@pytest.mark.parametrize(
+    ("function", "package", "refused"),
+    [
+        ("cProfile:run", "child_tasks", "cProfile:run is no task"),
+        ("cProfile:run", "cProf", "cProfile:run is no task"),
+        ("child_tasks:profile", "child_tasks", "is not a function that child_tasks defines"),
+        ("child_tasks:Task", "child_tasks", "is not a function that child_tasks defines"),
+        ("cProfile:run", "cProfile", ""),  # the trap is sound
+    ],
+)
+def test_a_task_names_a_function_that_its_package_defines(
+    run: Run, tmp_path: Path, function: str, package: str, refused: str
+) -> None:
+    trap = tmp_path / "trap"
+    with pytest.raises(TaskFailed, match=refused or None) as caught:
+        run(function, f"__import__('os').mkdir({str(trap)!r})", package=package)
+    assert (caught.value.error.kind, caught.value.retryable) == ("internal", False)
+    assert trap.exists() == (not refused)
 
 
 def test_a_stray_thread_does_not_keep_a_finished_task(run: Run) -> None:
@@ -211,7 +233,7 @@ def test_a_task_dies_with_a_parent_that_was_killed(tmp_path: Path) -> None:
         "from prtbake_storage.queue.child import run_task_in_child\n"
         "from prtbake_storage.queue.stages import Task\n"
         "say = lambda message: print(json.dumps(message), flush=True)\n"
-        "run_task_in_child(Task('child_tasks:hang', {}), store_url=sys.argv[1],\n"
+        "run_task_in_child(Task('child_tasks:hang', {}), package='child_tasks', store_url=sys.argv[1],\n"
         "    scratch=Path(sys.argv[1]), on_message=say, should_stop=lambda: None)\n"
     )
     parent = subprocess.Popen(

@@ -22,7 +22,7 @@ from prtbake_storage.queue.engine import GIVEN_UP, task_id
 from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
-from prtbake_storage.queue.stages import Results, Task
+from prtbake_storage.queue.stages import Results, Task, package_of
 from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
 from prtbake_storage.records import Database, Events, Jobs, NewJob, create_database
 from prtbake_storage.testing.blob_contract import digest_of
@@ -33,7 +33,8 @@ def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     settings = QueueSettings(data_dir=tmp_path, poll_s=0.01, retry_wait_s=0.01)
     database = create_database(settings.database_url)
-    yield Services(database, LocalBlobStore(tmp_path / "blobs"), settings, threading.Event())
+    store = LocalBlobStore(tmp_path / "blobs")
+    yield Services(database, store, settings, threading.Event(), package_of(TWO_STAGES))
     database.dispose()
 
 
