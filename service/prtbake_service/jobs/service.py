@@ -11,11 +11,14 @@ from prtbake_service.errors_http import ProblemError, validation_entries
 from prtbake_service.jobs.references import AnyRequest, Resolver
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobState, job_request_adapter
-from prtbake_storage.errors import Conflict, InputError, PrtError
+from prtbake_storage.errors import Conflict, InputError, PrtError, TooLarge
+from prtbake_storage.queue.failures import CPU_LIMIT, OUT_OF_MEMORY
 from prtbake_storage.records import NewJob
 
 log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
+OVER_LIMIT = frozenset({CPU_LIMIT, OUT_OF_MEMORY, TooLarge.code})
+"""Codes that say 413 where the fault is the input's: a 503 would invite to try the same again."""
 PARSE_PREFIX = "parse-"
 ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
 QUICK_TIMEOUT_S = 600.0
@@ -159,8 +162,16 @@ def failure_of(job: Job) -> PrtError:
     """Return the error of a quick job that did not succeed."""
     if job.error is None:
         return ProblemError(500, "internal", f"the quick job {job.id} was {job.state}")
-    status = STATUS_OF_KIND[job.error.kind]
-    return ProblemError(status, job.error.code, job.error.detail, pointer=job.error.pointer)
+    error = job.error
+    status = status_of(error.kind, error.code)
+    return ProblemError(status, error.code, error.detail, pointer=error.pointer)
+
+
+def status_of(kind: str, code: str) -> int:
+    """Return the HTTP status of a quick job's error."""
+    if kind == "input" and code in OVER_LIMIT:
+        return TooLarge.http_status
+    return STATUS_OF_KIND.get(kind, 500)
 
 
 def new_id(kind: str) -> str:

@@ -6,8 +6,8 @@ from prtbake_service.jobs.references import Resolver
 from prtbake_service.jobs.service import (
     PARSE_PREFIX,
     QUICK_TIMEOUT_S,
-    STATUS_OF_KIND,
     enqueue,
+    status_of,
 )
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.resources import (
@@ -99,9 +99,10 @@ class ResourceService:
 def refusal_of(resource: Resource) -> PrtError:
     """Return why a resource cannot be used, as the error of the request that made it."""
     problem = resource.problem or {}
+    code = str(problem.get("code", "refused"))
     return ProblemError(
-        STATUS_OF_KIND.get(problem.get("kind", "input"), 400),
-        str(problem.get("code", "refused")),
+        status_of(str(problem.get("kind", "input")), code),
+        code,
         str(problem.get("detail", "it could not be parsed")),
         pointer=problem.get("pointer"),
     )

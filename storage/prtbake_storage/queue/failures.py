@@ -15,6 +15,10 @@ _PASSING = frozenset(
 """What a restarting file server, a dropped network or a busy system says.  Neither a full disk nor
 refused memory is here: they outlast our patience, and the caller should hear of them at once."""
 
+OUT_OF_MEMORY, CPU_LIMIT = "out-of-memory", "cpu-limit"
+"""Codes of a task that needed more than it may have.  Where that is a limit of the task's own, and
+not the machine's end, it is the caller's to ask for less: `over_limit`."""
+
 SHUTDOWN = "shutdown"
 """Reason of a `TaskStopped` that means this worker, and not the job."""
 
@@ -34,6 +38,11 @@ class TaskStopped(Exception):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+def over_limit(code: str, detail: str) -> JobError:
+    """Say that what the caller gave needs more than a task may have, as input errors do."""
+    return JobError(kind="input", code=code, detail=detail)
 
 
 def may_pass(error: BaseException) -> bool:
@@ -56,7 +65,7 @@ def describe(error: BaseException) -> JobError:
         )
     if isinstance(error, MemoryError):
         detail = str(error) or "the task ran out of memory"
-        return JobError(kind="resource", code="out-of-memory", detail=detail)
+        return JobError(kind="resource", code=OUT_OF_MEMORY, detail=detail)
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return JobError(kind="resource", code="disk-full", detail=str(error))
     if isinstance(error, OSError) and may_pass(error):

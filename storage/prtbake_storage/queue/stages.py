@@ -31,7 +31,8 @@ class Task:
         BLAS and OpenMP threads.  They are part of the name, because one thread or two changes the
         last bits of a matrix product.
     memory_bytes, cpu_seconds
-        Limits of the child process (address space, CPU time), for parsers of untrusted files.
+        Limits of the child process (address space, CPU time), for parsers of untrusted files.  To
+        exceed them is an error of the input.
     """
 
     function: str

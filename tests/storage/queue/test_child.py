@@ -92,6 +92,7 @@ def test_only_the_tasks_own_words_count(run: Run, messages: list[dict[str, Any]]
         ("bug", "internal", "internal", "KeyError: 'missing'", False),
         ("no-dict", "internal", "internal", "must return a dict, not list", False),
         ("nan", "internal", "internal", "JSON compliant", False),
+        ("no-memory", "resource", "out-of-memory", "ran out of memory", False),
         ("eio", "resource", "io-error", "OSError: [Errno 5] Input/output error", True),
         ("segfault", "resource", "task-died", "SIGSEGV", True),
         ("exit", "resource", "task-died", "exited with 7: giving up", False),
@@ -108,14 +109,16 @@ def test_an_end_without_result_is_told_by_kind(
     assert error.pointer == ("/blob" if how == "mesh" else None)
 
 
-def test_memory_and_time_are_limited(run: Run) -> None:
+def test_memory_and_time_are_limited_and_what_exceeds_them_is_the_inputs_fault(run: Run) -> None:
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "memory"}, memory_bytes=1 << 30)
-    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "out-of-memory")
+    assert (caught.value.error.kind, caught.value.error.code) == ("input", "out-of-memory")
+    assert caught.value.error.detail == "child_tasks:fail needs more than 1 GiB of memory"
     assert not caught.value.retryable
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "cpu"}, cpu_seconds=1)
-    assert (caught.value.error.kind, caught.value.error.code) == ("resource", "cpu-limit")
+    assert (caught.value.error.kind, caught.value.error.code) == ("input", "cpu-limit")
+    assert caught.value.error.detail == "child_tasks:fail needs more than 1 s of CPU time"
 
 
 def test_a_module_that_is_not_there_is_an_error_and_no_hang(run: Run) -> None:
