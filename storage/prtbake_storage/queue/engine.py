@@ -200,14 +200,14 @@ class JobQueue:
         )
         self._client.delete_workflows([workflow_id, *(task.workflow_id for task in tasks)])
 
-    def prune(self, ended_before: str) -> int:
-        """Delete workflows that ended before an ISO time; returns how many."""
+    def prune(self, ended_before: str, *, limit: int) -> int:
+        """Delete so many workflows that ended before an ISO time; returns how many there were."""
         old = self._client.list_workflows(
             status=sorted(ENDED),
             completed_before=ended_before,
             load_input=False,
             load_output=False,
-            limit=1000,
+            limit=limit,
         )
         if old:
             self._client.delete_workflows([workflow.workflow_id for workflow in old])

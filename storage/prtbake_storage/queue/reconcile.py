@@ -12,13 +12,14 @@ from datetime import UTC, datetime, timedelta
 
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue, poison
+from prtbake_storage.queue.retention import let_go
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.runs import Runs, Stop, Unfinished
 from prtbake_storage.records.workers import Workers
 
 _log = logging.getLogger(__name__)
 
-PRUNE_EVERY_S = 3600.0
+LET_GO_EVERY_S = 3600.0
 
 MOST_RENEWALS = 3
 """Workflows of one job that may end before the job has begun; one is what a deletion cut short."""
@@ -83,8 +84,8 @@ class Reconciler:
     Parameters
     ----------
     retention_s
-        Age at which ended workflows are deleted, once an hour; without it none is.  Only the
-        workers, which this is a setting of, delete: nobody else knows what the operator wants.
+        Age at which is let go what `retention` says, once an hour; without it nothing is.  Only the
+        workers, which this is a setting of, let go: nobody else knows what the operator wants.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class Reconciler:
         self._thread.join(timeout=30.0)
 
     def _run(self) -> None:
-        since_prune = PRUNE_EVERY_S
+        since_letting_go = LET_GO_EVERY_S
         while True:
             try:
                 reconcile_once(
@@ -123,19 +124,21 @@ class Reconciler:
                     dead_after_s=self._dead_after_s,
                     renewals=self._renewals,
                 )
-                if since_prune >= PRUNE_EVERY_S:
-                    since_prune = 0.0
-                    self._prune()
+                if since_letting_go >= LET_GO_EVERY_S:
+                    since_letting_go = 0.0
+                    self._let_go()
             except Exception as error:  # noqa: BLE001 - the next round may find the database again
                 _log.warning("reconcile.failed", extra={"error": str(error)[:200]})
             if self._stop.wait(self._every_s):
                 return
-            since_prune += self._every_s
+            since_letting_go += self._every_s
 
-    def _prune(self) -> None:
-        if self._retention_s is not None:
-            limit = datetime.now(UTC) - timedelta(seconds=self._retention_s)
-            self._queue.prune(limit.isoformat())
+    def _let_go(self) -> None:
+        if self._retention_s is None:
+            return
+        ended_before = datetime.now(UTC) - timedelta(seconds=self._retention_s)
+        if n_gone := let_go(self._database, self._queue, ended_before=ended_before):
+            _log.info("retention.let_go", extra={"n_rows": n_gone})
 
 
 def _never_began(job: Unfinished, status: str) -> bool:

@@ -25,6 +25,18 @@ def append_event(session: Session, job_id: str, kind: EventType, data: dict[str,
     session.add(EventRow(job_id=job_id, type=kind, data=data, created=utc_now()))
 
 
+def thin_progress(session: Session, job_id: str) -> None:
+    """Leave of the progress of a job that has ended the last event of each stage and percent.
+
+    While a job runs it tells of its progress every second; a day of that is 86,400 rows.
+    """
+    progress = sa.and_(EventRow.job_id == job_id, EventRow.type == "progress")
+    percent = sa.cast(100.0 * EventRow.data["fraction"].as_float(), sa.Integer)
+    last = sa.select(sa.func.max(EventRow.id)).where(progress)
+    last = last.group_by(EventRow.data["stage_index"].as_integer(), percent)
+    session.execute(sa.delete(EventRow).where(progress, EventRow.id.not_in(last)))
+
+
 class Events:
     """Reads and writes events."""
 

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from prtbake_storage.contract.jobs import TERMINAL, JobError, JobState, Progress
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
-from prtbake_storage.records.events import append_event
+from prtbake_storage.records.events import append_event, thin_progress
 from prtbake_storage.records.models import ArtefactRow, JobRow, TaskProgressRow
 from prtbake_storage.records.resources import settle_resource
 from prtbake_storage.records.transitions import before
@@ -275,4 +275,5 @@ def _end(session: Session, row: JobRow, state: JobState, error: JobError | None)
     row.finished = utc_now()
     _move(session, row, state)
     session.execute(sa.delete(TaskProgressRow).where(TaskProgressRow.job_id == row.id))
+    thin_progress(session, row.id)
     settle_resource(session, row)

@@ -116,8 +116,8 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.statuses(["sent"]) == {}
     assert queue.open_tasks("sent") == {}
     assert queue.open_tasks("sent2") == {other: "ENQUEUED"}
-    assert queue.prune("2000-01-01T00:00:00+00:00") == 0
-    assert queue.prune("2999-01-01T00:00:00+00:00") == 1
+    assert queue.prune("2000-01-01T00:00:00+00:00", limit=10) == 0
+    assert queue.prune("2999-01-01T00:00:00+00:00", limit=10) == 1
     assert queue.statuses(["ended"]) == {}
 
 

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from prtbake_storage.contract.jobs import TERMINAL, JobError, JobState, Progress
 from prtbake_storage.errors import Conflict, InputError, NotFound
 from prtbake_storage.records import Database, Events, Jobs, NewArtefact, NewJob, Runs, Stop
-from prtbake_storage.records.models import JobRow
+from prtbake_storage.records.models import EventRow, JobRow
 from prtbake_storage.records.runs import TaskProgress
 from prtbake_storage.records.transitions import AFTER, before
 from support.rows import context_of, revision_of
@@ -350,3 +350,25 @@ def test_events_of_one_job_appear_in_the_order_of_their_ids(database: Database) 
     reader.join()
     assert seen == [event.id for event in events.after("a")]
     assert len(seen) == n_writers * n_each + 1
+
+
+def test_progress_is_thinned_once_its_job_has_ended(database: Database) -> None:
+    jobs, runs, events = Jobs(database), Runs(database), Events(database)
+    for name in ("ends", "runs"):
+        jobs.create(new_job(name))
+        runs.start(name)
+        with database.write() as session:
+            for second in range(1000):
+                progress = Progress(stage_index=second // 500, fraction=second / 2000, done=second)
+                data, now = progress.model_dump(mode="json"), datetime.now(UTC)
+                session.add(EventRow(job_id=name, type="progress", data=data, created=now))
+        events.log(name, "half way")
+    assert runs.close("ends", Stop(JobState.failed, ERROR))
+    told = [event for event in events.after("ends", limit=5000) if event.type == "progress"]
+    # 0 to 50 percent, one of them twice: the stages change within it
+    assert 50 <= len(told) <= 52
+    assert {499, 999} <= {event.data["done"] for event in told}
+    assert [event.id for event in told] == sorted(event.id for event in told)
+    others = [event.type for event in events.after("ends", limit=5000) if event.type != "progress"]
+    assert others == ["state", "state", "log", "state"]
+    assert len(events.after("runs", limit=5000)) == 1000 + 3  # whoever follows it misses nothing
