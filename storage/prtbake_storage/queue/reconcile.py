@@ -51,31 +51,35 @@ def reconcile_once(
     """
     runs = Runs(database)
     renewals = Counter() if renewals is None else renewals
-    jobs = runs.unfinished()
-    statuses = queue.statuses([job.job_id for job in jobs])
-    mended = 0
-    for job in jobs:
-        status = statuses.get(job.job_id)
-        if status is None:
-            queue.submit(job.job_id, quick=job.quick, priority=job.priority)
-            _log.info("job.resubmitted", extra={"job_id": job.job_id})
-            mended += 1
-        elif _never_began(job, status) and renewals[job.job_id] < MOST_RENEWALS:
-            # the workflow is that of an earlier job with this id, or could not be read
-            renewals[job.job_id] += 1
-            queue.forget(job.job_id)
-            queue.submit(job.job_id, quick=job.quick, priority=job.priority)
-            mended += 1
-        elif status in ENDED:
-            # the row may have been closed since we read it: then `close` does nothing
-            mended += runs.close(job.job_id, _verdict(job, status), cause="engine")
-    waiting = [job for job in jobs if job.state == JobState.cancel_requested]
-    if waiting and not _anybody_lives(database, dead_after_s):
+    mended, stopping = 0, []
+    for jobs in runs.unfinished():
+        statuses = queue.statuses([job.job_id for job in jobs])
+        mended += sum(_mend(runs, queue, job, statuses.get(job.job_id), renewals) for job in jobs)
+        stopping += [job.job_id for job in jobs if job.state == JobState.cancel_requested]
+    if stopping and not _anybody_lives(database, dead_after_s):
         # nobody is left to stop anything, and nothing runs: the wish is fulfilled
-        for job in waiting:
-            queue.cancel([job.job_id])
-            mended += runs.close(job.job_id, Stop(JobState.canceled))
+        for job_id in stopping:
+            queue.cancel([job_id])
+            mended += runs.close(job_id, Stop(JobState.canceled))
     return mended
+
+
+def _mend(
+    runs: Runs, queue: JobQueue, job: Unfinished, status: str | None, renewals: Counter[str]
+) -> bool:
+    """Bring one job and its workflow together; tell whether they were not."""
+    if status is None:
+        queue.submit(job.job_id, quick=job.quick, priority=job.priority)
+        _log.info("job.resubmitted", extra={"job_id": job.job_id})
+        return True
+    if _never_began(job, status) and renewals[job.job_id] < MOST_RENEWALS:
+        # the workflow is that of an earlier job with this id, or could not be read
+        renewals[job.job_id] += 1
+        queue.forget(job.job_id)
+        queue.submit(job.job_id, quick=job.quick, priority=job.priority)
+        return True
+    # the row may have been closed since we read it: then `close` does nothing
+    return status in ENDED and runs.close(job.job_id, _verdict(job, status), cause="engine")
 
 
 class Reconciler:

@@ -5,7 +5,7 @@ the same job.  Each change is a compare-and-set against the states it may follow
 them wins and the other learns of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -238,16 +238,32 @@ class Runs:
             _end(session, row, state, None if asked else stop.error)
             return True
 
-    def unfinished(self, *, limit: int = 1000) -> list[Unfinished]:
-        """Jobs that are not terminal, oldest first."""
-        with self._database.read() as session:
-            rows = session.execute(
-                sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority)
-                .where(_UNFINISHED)
-                .order_by(JobRow.created, JobRow.id)
-                .limit(limit)
-            )
-            return [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
+    def unfinished(self, *, page: int = 1000) -> Iterator[list[Unfinished]]:
+        """Yield all jobs that are not terminal in pages: those to be cancelled first, then by age.
+
+        Each page is a transaction of its own: what changes meanwhile may be missed or come twice.
+        """
+        stopping = JobRow.state == JobState.cancel_requested
+        yield from self._pages(stopping, page)
+        yield from self._pages(sa.and_(_UNFINISHED, sa.not_(stopping)), page)
+
+    def _pages(self, chosen: sa.ColumnElement[bool], page: int) -> Iterator[list[Unfinished]]:
+        query = (
+            sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority, JobRow.created)
+            .where(chosen)
+            .order_by(JobRow.created, JobRow.id)
+            .limit(page)
+        )
+        after: sa.ColumnElement[bool] = sa.true()
+        while True:
+            with self._database.read() as session:
+                rows = session.execute(query.where(after)).all()
+            if not rows:
+                return
+            yield [Unfinished(row.id, JobState(row.state), *row[2:4]) for row in rows]
+            last = rows[-1]
+            same_time = sa.and_(JobRow.created == last.created, JobRow.id > last.id)
+            after = sa.or_(JobRow.created > last.created, same_time)
 
     def given(self) -> list[Given]:
         """Tell what all jobs that are not terminal were given."""
