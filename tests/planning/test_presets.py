@@ -42,7 +42,14 @@ def test_a_given_number_of_terms_takes_the_place_of_the_energy():
 
 @pytest.mark.parametrize(
     ("stage", "fields"),
-    [("bake", {"n_centres": 100}), ("compress", {"ranks": [0, 1, 1]}), ("bake", {"nonsense": 1})],
+    [
+        ("bake", {"n_centres": 100}),
+        ("bake", {"nonsense": 1}),
+        ("bake", {"frame_seed": -1}),  # numpy's generators refuse it
+        ("bake", {"frame_seed": 2**63}),  # more than a file's integers hold
+        ("compress", {"ranks": [0, 1, 1]}),
+        ("compress", {"ranks": [1, 1, 10**400]}),  # more than a float holds: costs are floats
+    ],
 )
 def test_illegal_overrides_are_refused_at_submission(stage, fields):
     with pytest.raises(ValidationError, match=stage):

@@ -1,7 +1,6 @@
 import httpx
 import pytest
 
-from prtbake.retrying import BUSY
 from prtbake_service.jobs.service import QUICK_TIMEOUT_S
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import JobError
@@ -102,28 +101,27 @@ def test_a_resource_whose_file_is_gone_is_parsed_again(
     assert http.post("/v1/jobs", json=fit).status_code == 202
 
 
+@pytest.mark.parametrize(("code", "width"), [("cpu-limit", 160), ("out-of-memory", 192)])
+def test_a_file_that_takes_too_much_is_too_large(
+    service: LiveService, http: httpx.Client, code: str, width: int
+) -> None:
+    body = {"builtin": {"name": "hall", "width": width}}
+    error = JobError(kind="input", code=code, detail="parsing needs more than it may")
+    service.answer_next("register", lambda job: service.fail(job, error))
+    answer = http.post("/v1/environments", json=body, headers=PATIENT)
+    assert (answer.status_code, answer.json()["code"]) == (413, code)
+    assert "retry-after" not in answer.headers  # the same file would take as much again
+
+
 @pytest.mark.parametrize(("kind", "status"), [("resource", 503), ("internal", 500)])
 def test_a_fault_of_ours_is_no_refusal(service: LiveService, http, kind, status: int) -> None:
     body = {"builtin": {"name": "hall", "width": 64 if kind == "resource" else 128}}
-    error = JobError(kind=kind, code="oops", detail="out of memory")
+    code = "out-of-memory" if kind == "resource" else "oops"
+    error = JobError(kind=kind, code=code, detail="this machine has no memory left")
     service.answer_next("register", lambda job: service.fail(job, error))
     answer = http.post("/v1/environments", json=body, headers=PATIENT)
     assert answer.status_code == status
     assert ("retry-after" in answer.headers) == (status == 503)
-
-
-@pytest.mark.parametrize("code", ["cpu-limit", "out-of-memory"])
-def test_a_file_beyond_the_parsers_limits_is_not_asked_for_again(
-    service: LiveService, http: httpx.Client, code: str
-) -> None:
-    body = {"builtin": {"name": "hall", "width": {"cpu-limit": 24, "out-of-memory": 40}[code]}}
-    error = JobError(kind="input", code=code, detail="it needs more than it has")
-    service.answer_next("register", lambda job: service.fail(job, error))
-    answer = http.post("/v1/environments", json=body, headers=PATIENT)
-    assert (answer.status_code, answer.json()["code"]) == (413, code)
-    assert "retry-after" not in answer.headers
-    # the client of ours would have it parsed twice more
-    assert answer.status_code not in BUSY
 
 
 def test_the_blob_must_be_there(http: httpx.Client) -> None:

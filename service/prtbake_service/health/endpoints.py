@@ -27,7 +27,6 @@ def readyz(backend: BackendDep, response: Response) -> dict[str, str | int]:
     Without a worker jobs are still taken; they wait.
     """
     checks: dict[str, str | int] = {
-        # a small table: counting all jobs at every probe would load the database
         "database": _check("database", backend.workers_alive),
         "blobs": _check("blobs", lambda: _touch(backend)),
     }

@@ -11,13 +11,14 @@ from prtbake_service.errors_http import ProblemError, validation_entries
 from prtbake_service.jobs.references import AnyRequest, Resolver
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobState, job_request_adapter
-from prtbake_storage.errors import Conflict, InputError, PrtError
-from prtbake_storage.queue.failures import LIMITS
+from prtbake_storage.errors import Conflict, InputError, PrtError, TooLarge
+from prtbake_storage.queue.failures import CPU_LIMIT, OUT_OF_MEMORY
 from prtbake_storage.records import NewJob
 
 log = logging.getLogger(__name__)
 STATUS_OF_KIND = {"input": 400, "resource": 503, "internal": 500}
-TOO_LARGE = 413
+OVER_LIMIT = frozenset({CPU_LIMIT, OUT_OF_MEMORY, TooLarge.code})
+"""Codes that say 413 where the fault is the input's: a 503 would invite to try the same again."""
 PARSE_PREFIX = "parse-"
 ESTIMATE_PRIORITY = 10  # a person waits for it; lower is sooner
 QUICK_TIMEOUT_S = 600.0
@@ -82,9 +83,7 @@ class JobService:
                 id=new_id("estimate"),
                 kind="estimate",
                 request={"request": request.model_dump(mode="json")},
-                # how long it lasts depends on how many tasks can run beside each other
-                context=self._resolver.resolve(request)
-                | {"tile_slots": self._backend.tile_slots()},
+                context=self._resolver.resolve(request),
                 project=self._project,
                 internal=True,
                 quick=True,
@@ -164,18 +163,15 @@ def failure_of(job: Job) -> PrtError:
     if job.error is None:
         return ProblemError(500, "internal", f"the quick job {job.id} was {job.state}")
     error = job.error
-    return ProblemError(
-        status_of(error.kind, error.code), error.code, error.detail, pointer=error.pointer
-    )
+    status = status_of(error.kind, error.code)
+    return ProblemError(status, error.code, error.detail, pointer=error.pointer)
 
 
 def status_of(kind: str, code: str) -> int:
-    """Return the HTTP status for a quick job's error.
-
-    What comes to the limits of its own parsing is too large: to say 503 would invite the caller to
-    send it again.
-    """
-    return TOO_LARGE if kind == "input" and code in LIMITS else STATUS_OF_KIND[kind]
+    """Return the HTTP status of a quick job's error."""
+    if kind == "input" and code in OVER_LIMIT:
+        return TooLarge.http_status
+    return STATUS_OF_KIND.get(kind, 500)
 
 
 def new_id(kind: str) -> str:

@@ -101,7 +101,7 @@ def refusal_of(resource: Resource) -> PrtError:
     problem = resource.problem or {}
     code = str(problem.get("code", "refused"))
     return ProblemError(
-        status_of(problem.get("kind", "input"), code),
+        status_of(str(problem.get("kind", "input")), code),
         code,
         str(problem.get("detail", "it could not be parsed")),
         pointer=problem.get("pointer"),

@@ -9,13 +9,12 @@ from prtbake_storage.blobs.base import BlobStore, referenced_digests
 
 @dataclass(frozen=True)
 class GarbageReport:
-    """What was removed, or with ``dry_run`` would be; ``n_jobs`` are rows of the service's own."""
+    """What was removed, or with ``dry_run`` would be."""
 
     n_blobs: int
     n_bytes: int
     n_results: int
     dry_run: bool
-    n_jobs: int = 0
 
 
 def collect_garbage(

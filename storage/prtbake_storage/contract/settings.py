@@ -9,6 +9,7 @@ from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
+Rank = Annotated[int, Field(ge=1, lt=2**31)]
 CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
 
 
@@ -57,27 +58,20 @@ class BakeSettings(Wire):
     bounce_rays: Annotated[int, Field(ge=1, le=4096)] = 64
     max_bounces: Annotated[int, Field(ge=1, le=64)] = 6
     bounce_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
-    frame_seed: int | None = None
+    frame_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     threads: Annotated[int, Field(ge=1, le=64)] = 1
 
 
 class CompressSettings(Wire):
-    """Compression; ``None`` leaves the choice to planning."""
+    """Compression; ``None`` leaves the choice to planning.  ``ranks`` are (view, light, vert)."""
 
     method: Literal["auto", "cpca", "cta"] = "auto"
     n_clusters: Annotated[int, Field(ge=1, le=4096)] | None = None
-    ranks: tuple[int, int, int] | None = None
+    ranks: tuple[Rank, Rank, Rank] | None = None
     n_components: Annotated[int, Field(ge=1, le=512)] | None = None
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
     threads: Annotated[int, Field(ge=1, le=64)] = 2
-
-    @field_validator("ranks")
-    @classmethod
-    def _positive(cls, ranks: tuple[int, int, int] | None) -> tuple[int, int, int] | None:
-        if ranks is not None and min(ranks) < 1:
-            raise ValueError("ranks are (view, light, vert), each at least 1")
-        return ranks
 
 
 class FitLightSettings(Wire):

@@ -16,7 +16,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from prtbake_storage.contract.jobs import JobError
-from prtbake_storage.queue.failures import TaskFailed, TaskStopped
+from prtbake_storage.queue.failures import (
+    CPU_LIMIT,
+    OUT_OF_MEMORY,
+    TaskFailed,
+    TaskStopped,
+    over_limit,
+)
 from prtbake_storage.queue.memo import Memory
 from prtbake_storage.queue.stages import Measured, Task
 
@@ -50,6 +56,7 @@ _THREAD_VARIABLES = (
 def run_task_in_child(
     task: Task,
     *,
+    package: str,
     store_url: str,
     scratch: Path,
     on_message: Callable[[dict[str, Any]], None],
@@ -62,6 +69,8 @@ def run_task_in_child(
     ----------
     task
         What to run.
+    package
+        Where its function must be defined.
     store_url, scratch
         Where its blobs are; an empty folder that the caller removes.
     on_message
@@ -104,6 +113,7 @@ def run_task_in_child(
     try:
         order = {
             "task": task.to_dict(),
+            "package": package,
             "store_url": store_url,
             "scratch": str(scratch),
             "parent": os.getpid(),
@@ -155,11 +165,15 @@ def _outcome(answer: dict[str, Any], status: int, tail: deque[str], task: Task) 
     if "result" in answer:
         return Memory(answer["result"], Measured(answer["seconds"], answer["peak_memory_bytes"]))
     if "error" in answer:
-        raise TaskFailed(JobError.model_validate(answer["error"]), retryable=answer["retryable"])
+        error = JobError.model_validate(answer["error"])
+        if error.code == OUT_OF_MEMORY and task.memory_bytes is not None:
+            detail = f"{task.title} needs more than {task.memory_bytes / 2**30:g} GiB of memory"
+            raise TaskFailed(over_limit(OUT_OF_MEMORY, detail))
+        raise TaskFailed(error, retryable=answer["retryable"])
     last = tail[-1] if tail else "it left no message"
     if status == -signal.SIGXCPU:
-        detail = f"{task.title} used more than {task.cpu_seconds} s of CPU time"
-        raise TaskFailed(JobError(kind="input", code="cpu-limit", detail=detail))
+        detail = f"{task.title} needs more than {task.cpu_seconds} s of CPU time"
+        raise TaskFailed(over_limit(CPU_LIMIT, detail))
     how = f"was killed by {signal.Signals(-status).name}" if status < 0 else f"exited with {status}"
     detail = f"the process of {task.title} {how}: {last}"
     # a signal is the system's doing (out of memory, a crash in native code): it may pass

@@ -1,13 +1,14 @@
 """The process that runs one task: ``python -m prtbake_storage.queue.child_main``.
 
-It reads one JSON line on stdin, ``{"task", "store_url", "scratch", "parent"}``, and writes JSON
-lines on stdout: ``{"progress": [done, total, unit]}``, ``{"log": {...}}`` and at the end
-``{"result", "seconds", "peak_memory_bytes"}`` or ``{"error", "retryable"}``.  It imports neither
-the job engine nor the database, so that it starts fast, and it dies with its parent.
+It reads one JSON line on stdin, ``{"task", "package", "store_url", "scratch", "parent"}``, and
+writes JSON lines on stdout: ``{"progress": [done, total, unit]}``, ``{"log": {...}}`` and at the
+end ``{"result", "seconds", "peak_memory_bytes"}`` or ``{"error", "retryable"}``.  It imports
+neither the job engine nor the database, so that it starts fast, and it dies with its parent.
 """
 
 import ctypes
 import importlib
+import inspect
 import json
 import os
 import resource
@@ -16,8 +17,12 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from prtbake_storage.queue.context import TaskContext
 
 PARENT_GONE = 3
 """Exit status after the parent's death; nobody is left to read it."""
@@ -45,10 +50,10 @@ def main() -> None:
     try:
         send(_run(order, send))
     except MemoryError:
-        send(_failure(_memory_error(order["task"]), order["task"]))
+        send(_failure(MemoryError()))
     except Exception as error:  # noqa: BLE001 - the boundary: whatever it is, the parent must hear
         traceback.print_exc()
-        send(_failure(error, order["task"]))
+        send(_failure(error))
     channel.close()
     os._exit(0)  # a library's stray thread must not keep a finished task alive
 
@@ -62,8 +67,7 @@ def _run(order: dict[str, Any], send: Any) -> dict[str, Any]:
 
     scratch = Path(order["scratch"])
     store = open_store(order["store_url"], incoming=scratch)
-    module, name = task["function"].split(":")
-    function = getattr(importlib.import_module(module), name)
+    function = _find(task["function"], order["package"])
     result = function(task["args"], TaskContext(store, scratch, send))
     if not isinstance(result, dict):
         raise TypeError(f"{task['function']} must return a dict, not {type(result).__name__}")
@@ -72,6 +76,18 @@ def _run(order: dict[str, Any], send: Any) -> dict[str, Any]:
         "seconds": time.perf_counter() - started,
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _find(path: str, package: str) -> Callable[[dict[str, Any], "TaskContext"], object]:
+    """Import the function ``module:name``, which must be one that ``package`` defines itself."""
+    module, _, name = path.partition(":")
+    # before the import: that runs code too
+    if module != package and not module.startswith(f"{package}."):
+        raise ValueError(f"{path} is no task: it does not lie in {package}")
+    function = getattr(importlib.import_module(module), name)
+    if not inspect.isfunction(function) or function.__module__ != module:
+        raise ValueError(f"{path} is no task: it is not a function that {module} defines")
+    return function
 
 
 def peak_memory_bytes() -> int:
@@ -87,19 +103,10 @@ def peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _memory_error(task: dict[str, Any]) -> MemoryError:
-    """Make an error without the frames, and so the arrays, of the one that was raised."""
-    if task["memory_bytes"] is None:
-        return MemoryError()
-    allowed = f"{task['memory_bytes'] / (1 << 30):.3g} GiB"
-    return MemoryError(f"{task['label'] or task['function']} needs more than the {allowed} it has")
-
-
-def _failure(error: BaseException, task: dict[str, Any]) -> dict[str, Any]:
+def _failure(error: BaseException) -> dict[str, Any]:
     from prtbake_storage.queue.failures import describe, may_pass
 
-    told = describe(error, limited=task["memory_bytes"] is not None)
-    return {"error": told.model_dump(), "retryable": may_pass(error)}
+    return {"error": describe(error).model_dump(), "retryable": may_pass(error)}
 
 
 def _die_with_parent() -> None:

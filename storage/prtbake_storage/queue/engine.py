@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from dbos import DBOS, DBOSClient, DBOSConfig, EnqueueOptions, Serializer
 from dbos._serialization import DefaultSerializer
 
+from prtbake_storage.contract.jobs import JobError
 from prtbake_storage.records.database import normalise_url
 
 APPLICATION = "prtbake"
@@ -30,9 +31,15 @@ every job at each edit."""
 
 JOBS, TASKS, QUICK = "jobs", "tiles", "quick"
 GIVEN_UP = "MAX_RECOVERY_ATTEMPTS_EXCEEDED"
+"""Status of a workflow that was lost with too many workers: `poison` is the error of its end."""
 ENDED = frozenset({"SUCCESS", "ERROR", "CANCELLED", GIVEN_UP})
 PARENT_LOSSES = 100
 """Workers that may be lost under a parent: the poison limit belongs to its tasks."""
+
+
+def poison(losses: str) -> JobError:
+    """Say that what was lost with so many workers is not given to another one."""
+    return JobError(kind="resource", code="poison-task", detail=f"{losses}: it is given up")
 
 
 class _Json(Serializer):
@@ -193,14 +200,14 @@ class JobQueue:
         )
         self._client.delete_workflows([workflow_id, *(task.workflow_id for task in tasks)])
 
-    def prune(self, ended_before: str) -> int:
-        """Delete workflows that ended before an ISO time; returns how many."""
+    def prune(self, ended_before: str, *, limit: int) -> int:
+        """Delete so many workflows that ended before an ISO time; returns how many there were."""
         old = self._client.list_workflows(
             status=sorted(ENDED),
             completed_before=ended_before,
             load_input=False,
             load_output=False,
-            limit=1000,
+            limit=limit,
         )
         if old:
             self._client.delete_workflows([workflow.workflow_id for workflow in old])

@@ -15,12 +15,12 @@ _PASSING = frozenset(
 """What a restarting file server, a dropped network or a busy system says.  Neither a full disk nor
 refused memory is here: they outlast our patience, and the caller should hear of them at once."""
 
+OUT_OF_MEMORY, CPU_LIMIT = "out-of-memory", "cpu-limit"
+"""Codes of a task that needed more than it may have.  Where that is a limit of the task's own, and
+not the machine's end, it is the caller's to ask for less: `over_limit`."""
+
 SHUTDOWN = "shutdown"
 """Reason of a `TaskStopped` that means this worker, and not the job."""
-
-
-LIMITS = frozenset({"cpu-limit", "out-of-memory"})
-"""Codes of a task that came to a limit set for it: what it was given to read is at fault."""
 
 
 class TaskFailed(Exception):
@@ -40,6 +40,11 @@ class TaskStopped(Exception):
         self.reason = reason
 
 
+def over_limit(code: str, detail: str) -> JobError:
+    """Say that what the caller gave needs more than a task may have, as input errors do."""
+    return JobError(kind="input", code=code, detail=detail)
+
+
 def may_pass(error: BaseException) -> bool:
     """Whether another attempt may succeed: our errors say so, the system's by their number."""
     if isinstance(error, TaskFailed | PrtError):
@@ -49,12 +54,8 @@ def may_pass(error: BaseException) -> bool:
     return False
 
 
-def describe(error: BaseException, *, limited: bool = False) -> JobError:
-    """Say what went wrong: our errors by their kind, the system's by what ran out or broke off.
-
-    ``limited`` tells that memory was limited for the task's own sake: asking for more is then the
-    fault of what it was given, and no machine would do better.
-    """
+def describe(error: BaseException) -> JobError:
+    """Say what went wrong: our errors by their kind, the system's by what ran out or broke off."""
     if isinstance(error, TaskFailed):
         return error.error
     if isinstance(error, PrtError):
@@ -64,8 +65,7 @@ def describe(error: BaseException, *, limited: bool = False) -> JobError:
         )
     if isinstance(error, MemoryError):
         detail = str(error) or "the task ran out of memory"
-        kind = "input" if limited else "resource"
-        return JobError(kind=kind, code="out-of-memory", detail=detail)
+        return JobError(kind="resource", code=OUT_OF_MEMORY, detail=detail)
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return JobError(kind="resource", code="disk-full", detail=str(error))
     if isinstance(error, OSError) and may_pass(error):

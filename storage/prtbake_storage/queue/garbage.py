@@ -1,18 +1,15 @@
-"""Collect blobs and remembered results that no job needs any more, and the service's old jobs."""
+"""Collect the blobs and remembered results that no job needs any more."""
 
 import logging
 import threading
-from dataclasses import asdict, replace
-from datetime import timedelta
+from dataclasses import asdict
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.blobs.garbage import GarbageReport, collect_garbage
 from prtbake_storage.queue.memo import finished_tasks
 from prtbake_storage.queue.settings import QueueSettings
 from prtbake_storage.queue.stages import JobRunner
-from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.database import Database
-from prtbake_storage.records.jobs import Jobs
 from prtbake_storage.records.references import referenced_blobs
 from prtbake_storage.records.runs import Runs
 
@@ -33,7 +30,7 @@ class Collector:
         while True:
             try:
                 report = self.collect()
-                if report.n_blobs or report.n_results or report.n_jobs:
+                if report.n_blobs or report.n_results:
                     _log.info("garbage.collected", extra=asdict(report))
             except Exception as error:  # noqa: BLE001 - the next round may find database and blobs
                 _log.warning("garbage.failed", extra={"error": str(error)[:200]})
@@ -42,18 +39,15 @@ class Collector:
 
     def collect(self, *, dry_run: bool = False) -> GarbageReport:
         """Collect once; several workers may do so at the same time."""
-        retention = timedelta(seconds=self._settings.retention_s)
-        n_jobs = Jobs(self._database).prune_internal(utc_now() - retention, dry_run=dry_run)
         # unfinished jobs before rows: one that succeeds in between is seen by its artefacts' rows
         keep_results = self._results_in_use()
-        report = collect_garbage(
+        return collect_garbage(
             self._store,
             referenced_blobs(self._database),
             keep_results=keep_results,
             older_than_s=self._settings.garbage_grace_s,
             dry_run=dry_run,
         )
-        return replace(report, n_jobs=n_jobs)
 
     def _results_in_use(self) -> set[str]:
         keys: set[str] = set()

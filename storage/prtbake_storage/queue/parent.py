@@ -15,7 +15,7 @@ from typing import ParamSpec, TypeVar
 from prtbake_storage.contract.jobs import JobError, JobState
 from prtbake_storage.errors import PrtError
 from prtbake_storage.queue.attempts import Attempts
-from prtbake_storage.queue.engine import ENDED, JobQueue, task_id
+from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue, poison, task_id
 from prtbake_storage.queue.failures import SHUTDOWN, TaskFailed, TaskStopped, describe
 from prtbake_storage.queue.memo import Memory, enter, recall
 from prtbake_storage.queue.patience import patiently
@@ -148,10 +148,9 @@ class JobRun:
         output = self._patiently(self._queue.output, workflow_id)
         if status == "SUCCESS" and isinstance(output, dict):
             return Outcome.from_dict(output)
-        if status == "MAX_RECOVERY_ATTEMPTS_EXCEEDED":
+        if status == GIVEN_UP:
             losses = self._services.settings.worker_losses
-            detail = f"{losses} workers were lost while they ran this task: it is given up"
-            return Outcome("failed", JobError(kind="resource", code="poison-task", detail=detail))
+            return Outcome("failed", poison(f"{losses} workers were lost while they ran this task"))
         detail = f"a task ended as {status}: {str(output)[:500]}"
         return Outcome("failed", JobError(kind="internal", code="engine", detail=detail))
 

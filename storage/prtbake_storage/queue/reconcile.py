@@ -11,14 +11,15 @@ from collections import Counter
 from datetime import UTC, datetime, timedelta
 
 from prtbake_storage.contract.jobs import JobError, JobState
-from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue
+from prtbake_storage.queue.engine import ENDED, GIVEN_UP, JobQueue, poison
+from prtbake_storage.queue.retention import let_go
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.runs import Runs, Stop, Unfinished
 from prtbake_storage.records.workers import Workers
 
 _log = logging.getLogger(__name__)
 
-PRUNE_EVERY_S = 3600.0
+LET_GO_EVERY_S = 3600.0
 
 MOST_RENEWALS = 3
 """Workflows of one job that may end before the job has begun; one is what a deletion cut short."""
@@ -50,25 +51,23 @@ def reconcile_once(
     """
     runs = Runs(database)
     renewals = Counter() if renewals is None else renewals
-    mended = 0
-    waiting: list[Unfinished] = []
+    mended, stopping = 0, []
     for jobs in runs.unfinished():
         statuses = queue.statuses([job.job_id for job in jobs])
-        for job in jobs:
-            mended += _mend(runs, queue, job, statuses.get(job.job_id), renewals)
-        waiting += [job for job in jobs if job.state == JobState.cancel_requested]
-    if waiting and not _anybody_lives(database, dead_after_s):
+        mended += sum(_mend(runs, queue, job, statuses.get(job.job_id), renewals) for job in jobs)
+        stopping += [job.job_id for job in jobs if job.state == JobState.cancel_requested]
+    if stopping and not _anybody_lives(database, dead_after_s):
         # nobody is left to stop anything, and nothing runs: the wish is fulfilled
-        for job in waiting:
-            queue.cancel([job.job_id])
-            mended += runs.close(job.job_id, Stop(JobState.canceled))
+        for job_id in stopping:
+            queue.cancel([job_id])
+            mended += runs.close(job_id, Stop(JobState.canceled))
     return mended
 
 
 def _mend(
     runs: Runs, queue: JobQueue, job: Unfinished, status: str | None, renewals: Counter[str]
 ) -> bool:
-    """Compare one job with the status of its workflow; tell whether it had to be mended."""
+    """Bring one job and its workflow together; tell whether they were not."""
     if status is None:
         queue.submit(job.job_id, quick=job.quick, priority=job.priority)
         _log.info("job.resubmitted", extra={"job_id": job.job_id})
@@ -79,14 +78,19 @@ def _mend(
         queue.forget(job.job_id)
         queue.submit(job.job_id, quick=job.quick, priority=job.priority)
         return True
-    if status in ENDED:
-        # the row may have been closed since we read it: then `close` does nothing
-        return runs.close(job.job_id, _verdict(job, status), cause="engine")
-    return False
+    # the row may have been closed since we read it: then `close` does nothing
+    return status in ENDED and runs.close(job.job_id, _verdict(job, status), cause="engine")
 
 
 class Reconciler:
-    """Reconciles in a thread of its own, at once and then every ``every_s`` seconds."""
+    """Reconciles in a thread of its own, at once and then every ``every_s`` seconds.
+
+    Parameters
+    ----------
+    retention_s
+        Age at which is let go what `retention` says, once an hour; without it nothing is.  Only the
+        workers, which this is a setting of, let go: nobody else knows what the operator wants.
+    """
 
     def __init__(
         self,
@@ -95,11 +99,11 @@ class Reconciler:
         *,
         every_s: float = 10.0,
         dead_after_s: float = 30.0,
-        retention_s: float = 7 * 86400.0,
+        retention_s: float | None = None,
     ) -> None:
         self._database, self._queue = database, queue
         self._every_s, self._dead_after_s = every_s, dead_after_s
-        self._retention = timedelta(seconds=retention_s)
+        self._retention_s = retention_s
         self._renewals: Counter[str] = Counter()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="reconciler", daemon=True)
@@ -115,7 +119,7 @@ class Reconciler:
         self._thread.join(timeout=30.0)
 
     def _run(self) -> None:
-        since_prune = PRUNE_EVERY_S
+        since_letting_go = LET_GO_EVERY_S
         while True:
             try:
                 reconcile_once(
@@ -124,14 +128,21 @@ class Reconciler:
                     dead_after_s=self._dead_after_s,
                     renewals=self._renewals,
                 )
-                if since_prune >= PRUNE_EVERY_S:
-                    since_prune = 0.0
-                    self._queue.prune((datetime.now(UTC) - self._retention).isoformat())
+                if since_letting_go >= LET_GO_EVERY_S:
+                    since_letting_go = 0.0
+                    self._let_go()
             except Exception as error:  # noqa: BLE001 - the next round may find the database again
                 _log.warning("reconcile.failed", extra={"error": str(error)[:200]})
             if self._stop.wait(self._every_s):
                 return
-            since_prune += self._every_s
+            since_letting_go += self._every_s
+
+    def _let_go(self) -> None:
+        if self._retention_s is None:
+            return
+        ended_before = datetime.now(UTC) - timedelta(seconds=self._retention_s)
+        if n_gone := let_go(self._database, self._queue, ended_before=ended_before):
+            _log.info("retention.let_go", extra={"n_rows": n_gone})
 
 
 def _never_began(job: Unfinished, status: str) -> bool:
@@ -142,8 +153,7 @@ def _verdict(job: Unfinished, status: str) -> Stop:
     if job.state == JobState.cancel_requested:
         return Stop(JobState.canceled)
     if status == GIVEN_UP:
-        detail = "too many workers were lost while they ran this job: it is given up"
-        return Stop(JobState.failed, JobError(kind="resource", code="poison-task", detail=detail))
+        return Stop(JobState.failed, poison("too many workers were lost while they ran this job"))
     detail = f"the engine ended this job as {status} while it was {job.state}"
     return Stop(JobState.failed, JobError(kind="internal", code="engine", detail=detail))
 

@@ -42,8 +42,8 @@ class QueueSettings(BaseSettings):
     worker_losses
         Workers that may be lost under one task before it is given up as poison.
     reconcile_s, retention_s
-        How often rows and engine are compared; how long ended workflows of the engine, and ended
-        jobs of the service's own (estimates, parsings), are kept.
+        How often rows and engine are compared; how long the engine's ended workflows and the rows
+        of ended registrations and estimates are kept.
     garbage_every_s, garbage_grace_s
         How often a worker collects garbage; the age below which no blob and no remembered result
         goes.  The latter must exceed the longest task.

@@ -22,7 +22,7 @@ class Task:
     Attributes
     ----------
     function
-        ``module:name`` of ``f(args, context) -> dict``.
+        ``module:name`` of ``f(args, context) -> dict``, in the package of the `JobRunner`.
     args
         JSON; with ``function``, ``threads`` and the code all that the result depends on.
     label
@@ -31,8 +31,8 @@ class Task:
         BLAS and OpenMP threads.  They are part of the name, because one thread or two changes the
         last bits of a matrix product.
     memory_bytes, cpu_seconds
-        Limits of the child process (address space, CPU time), for parsers of untrusted files and
-        for what a legal request can ask too much of.  Coming to one is an error of kind ``input``.
+        Limits of the child process (address space, CPU time), for parsers of untrusted files.  To
+        exceed them is an error of the input.
     """
 
     function: str
@@ -159,3 +159,13 @@ class JobRunner(Protocol):
         self, kind: str, request: dict[str, Any], context: dict[str, Any], results: Results
     ) -> Finished:
         """Turn the results of all stages into the job's result and artefacts."""
+
+
+def package_of(runner: JobRunner) -> str:
+    """Name the package whose functions a task may name: the one that the job kinds lie in.
+
+    What a worker is given as a task comes from the database; who may write there shall not choose
+    among all functions of all installed packages.
+    """
+    module = type(runner).__module__
+    return module.rpartition(".")[0] or module

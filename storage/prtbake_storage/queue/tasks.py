@@ -27,12 +27,13 @@ PROGRESS_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class Services:
-    """What jobs and tasks use on a worker."""
+    """What jobs and tasks use on a worker; ``package`` is where tasks' functions must lie."""
 
     database: Database
     store: BlobStore
     settings: QueueSettings
     shutdown: threading.Event
+    package: str
 
     @property
     def runs(self) -> Runs:
@@ -112,6 +113,7 @@ class TaskRun:
         with self._services.store.scratch() as scratch:
             memory = run_task_in_child(
                 self._task,
+                package=self._services.package,
                 store_url=self._services.store.url,
                 scratch=scratch,
                 on_message=self._on_message,

@@ -18,7 +18,7 @@ from prtbake_storage.queue.heart import Heart
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.reconcile import Reconciler
 from prtbake_storage.queue.settings import QueueSettings, new_executor_id
-from prtbake_storage.queue.stages import JobRunner, Task
+from prtbake_storage.queue.stages import JobRunner, Task, package_of
 from prtbake_storage.queue.tasks import Services, TaskRun
 from prtbake_storage.queue.watchdog import Watchdog
 from prtbake_storage.records.database import create_database
@@ -41,7 +41,9 @@ class WorkerProcess:
         self._shutdown = threading.Event()
         self._database = create_database(settings.database_url)
         self._store = open_store(settings.blob_url, owner=self._executor_id)
-        self._services = Services(self._database, self._store, settings, self._shutdown)
+        self._services = Services(
+            self._database, self._store, settings, self._shutdown, package_of(runner)
+        )
         self._queue = JobQueue(settings.database_url)
         handlers = Handlers(job=self._run_job, quick=self._run_quick, task=self._run_task)
         self._engine = Engine(

@@ -2,6 +2,7 @@
 
 from prtbake_storage.records.database import Database, create_database
 from prtbake_storage.records.events import Events
+from prtbake_storage.records.internal import InternalJobs
 from prtbake_storage.records.jobs import Jobs, NewJob
 from prtbake_storage.records.keys import Key, Keys
 from prtbake_storage.records.references import referenced_blobs
@@ -15,6 +16,7 @@ __all__ = [
     "Begun",
     "Database",
     "Events",
+    "InternalJobs",
     "Jobs",
     "Key",
     "Keys",

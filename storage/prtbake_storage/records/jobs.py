@@ -189,24 +189,6 @@ class Jobs:
                 raise Conflict(f"job {job_id} is {row.state}: cancel it before deleting it")
             session.delete(row)
 
-    def prune_internal(self, ended_before: datetime, *, dry_run: bool = False) -> int:
-        """Remove the service's own jobs that ended before a time; return how many.
-
-        Nobody lists or deletes them: an estimate has been read, and what a parsing came to is kept
-        with its resource.
-        """
-        old = sa.and_(
-            JobRow.internal.is_(True),
-            JobRow.state.in_([state.value for state in TERMINAL]),
-            JobRow.finished < ended_before,
-        )
-        if dry_run:
-            with self._database.read() as session:
-                return session.scalar(sa.select(sa.func.count()).where(old)) or 0
-        with self._database.write() as session:
-            # artefacts and events go with them
-            return len(session.scalars(sa.delete(JobRow).where(old).returning(JobRow.id)).all())
-
 
 def insert_job(session: Session, new: NewJob) -> JobRow:
     """Insert a queued job inside the caller's transaction; an `IntegrityError` if it is there."""

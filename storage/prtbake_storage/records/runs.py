@@ -239,29 +239,31 @@ class Runs:
             return True
 
     def unfinished(self, *, page: int = 1000) -> Iterator[list[Unfinished]]:
-        """Yield all jobs that are not terminal, at most ``page`` at a time.
+        """Yield all jobs that are not terminal in pages: those to be cancelled first, then by age.
 
-        First those that somebody wants cancelled; among equals the oldest first.
+        Each page is a transaction of its own: what changes meanwhile may be missed or come twice.
         """
-        asked = JobRow.state == JobState.cancel_requested.value
-        for which in (asked, sa.and_(_UNFINISHED, sa.not_(asked))):
-            beyond: sa.ColumnElement[bool] = sa.true()
-            while True:
-                with self._database.read() as session:
-                    rows = session.execute(
-                        sa.select(
-                            JobRow.id, JobRow.state, JobRow.quick, JobRow.priority, JobRow.created
-                        )
-                        .where(which, beyond)
-                        .order_by(JobRow.created, JobRow.id)
-                        .limit(page)
-                    ).all()
-                if not rows:
-                    break
-                yield [Unfinished(row[0], JobState(row[1]), row[2], row[3]) for row in rows]
-                last_id, created = rows[-1][0], rows[-1][4]
-                same_time = sa.and_(JobRow.created == created, JobRow.id > last_id)
-                beyond = sa.or_(JobRow.created > created, same_time)
+        stopping = JobRow.state == JobState.cancel_requested
+        yield from self._pages(stopping, page)
+        yield from self._pages(sa.and_(_UNFINISHED, sa.not_(stopping)), page)
+
+    def _pages(self, chosen: sa.ColumnElement[bool], page: int) -> Iterator[list[Unfinished]]:
+        query = (
+            sa.select(JobRow.id, JobRow.state, JobRow.quick, JobRow.priority, JobRow.created)
+            .where(chosen)
+            .order_by(JobRow.created, JobRow.id)
+            .limit(page)
+        )
+        after: sa.ColumnElement[bool] = sa.true()
+        while True:
+            with self._database.read() as session:
+                rows = session.execute(query.where(after)).all()
+            if not rows:
+                return
+            yield [Unfinished(row.id, JobState(row.state), *row[2:4]) for row in rows]
+            last = rows[-1]
+            same_time = sa.and_(JobRow.created == last.created, JobRow.id > last.id)
+            after = sa.or_(JobRow.created > last.created, same_time)
 
     def given(self) -> list[Given]:
         """Tell what all jobs that are not terminal were given."""
@@ -288,6 +290,6 @@ def _end(session: Session, row: JobRow, state: JobState, error: JobError | None)
     row.stopping = None
     row.finished = utc_now()
     _move(session, row, state)
-    thin_progress(session, row.id)
     session.execute(sa.delete(TaskProgressRow).where(TaskProgressRow.job_id == row.id))
+    thin_progress(session, row.id)
     settle_resource(session, row)

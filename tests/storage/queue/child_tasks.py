@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import time
+from cProfile import run as profile  # noqa: F401 - for a test that no task may name it
 from typing import Any
 
 from prtbake_storage.errors import MeshError
@@ -48,6 +49,8 @@ def fail(args: dict[str, Any], _context: TaskContext) -> dict[str, Any]:
         return {}["missing"]  # type: ignore[no-any-return]
     if how == "eio":
         raise OSError(5, "Input/output error")
+    if how == "no-memory":
+        raise MemoryError
     if how == "no-dict":
         return [1]  # type: ignore[return-value]
     if how == "nan":

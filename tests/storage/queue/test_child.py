@@ -37,13 +37,15 @@ def run(tmp_path: Path, messages: list[dict[str, Any]], monkeypatch: pytest.Monk
 
     def run(
         name: str,
-        args: dict[str, Any],
+        args: Any,
         stop: Callable[[], str | None] = lambda: None,
+        package: str = "child_tasks",
         **limits: int,
     ) -> Memory:
         with store.scratch() as scratch:
             return run_task_in_child(
-                Task(f"child_tasks:{name}", args, **limits),
+                Task(name if ":" in name else f"child_tasks:{name}", args, **limits),
+                package=package,
                 store_url=store.url,
                 scratch=scratch,
                 on_message=messages.append,
@@ -90,6 +92,7 @@ def test_only_the_tasks_own_words_count(run: Run, messages: list[dict[str, Any]]
         ("bug", "internal", "internal", "KeyError: 'missing'", False),
         ("no-dict", "internal", "internal", "must return a dict, not list", False),
         ("nan", "internal", "internal", "JSON compliant", False),
+        ("no-memory", "resource", "out-of-memory", "ran out of memory", False),
         ("eio", "resource", "io-error", "OSError: [Errno 5] Input/output error", True),
         ("segfault", "resource", "task-died", "SIGSEGV", True),
         ("exit", "resource", "task-died", "exited with 7: giving up", False),
@@ -106,20 +109,41 @@ def test_an_end_without_result_is_told_by_kind(
     assert error.pointer == ("/blob" if how == "mesh" else None)
 
 
-def test_memory_and_time_are_limited(run: Run) -> None:
+def test_memory_and_time_are_limited_and_what_exceeds_them_is_the_inputs_fault(run: Run) -> None:
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "memory"}, memory_bytes=1 << 30)
     assert (caught.value.error.kind, caught.value.error.code) == ("input", "out-of-memory")
-    assert caught.value.error.detail == "child_tasks:fail needs more than the 1 GiB it has"
+    assert caught.value.error.detail == "child_tasks:fail needs more than 1 GiB of memory"
     assert not caught.value.retryable
     with pytest.raises(TaskFailed) as caught:
         run("fail", {"how": "cpu"}, cpu_seconds=1)
     assert (caught.value.error.kind, caught.value.error.code) == ("input", "cpu-limit")
+    assert caught.value.error.detail == "child_tasks:fail needs more than 1 s of CPU time"
 
 
 def test_a_module_that_is_not_there_is_an_error_and_no_hang(run: Run) -> None:
     with pytest.raises(TaskFailed, match="no_such"):
         run("no_such", {})
+
+
+@pytest.mark.parametrize(
+    ("function", "package", "refused"),
+    [
+        ("cProfile:run", "child_tasks", "cProfile:run is no task"),
+        ("cProfile:run", "cProf", "cProfile:run is no task"),
+        ("child_tasks:profile", "child_tasks", "is not a function that child_tasks defines"),
+        ("child_tasks:Task", "child_tasks", "is not a function that child_tasks defines"),
+        ("cProfile:run", "cProfile", ""),  # the trap is sound
+    ],
+)
+def test_a_task_names_a_function_that_its_package_defines(
+    run: Run, tmp_path: Path, function: str, package: str, refused: str
+) -> None:
+    trap = tmp_path / "trap"
+    with pytest.raises(TaskFailed, match=refused or None) as caught:
+        run(function, f"__import__('os').mkdir({str(trap)!r})", package=package)
+    assert (caught.value.error.kind, caught.value.retryable) == ("internal", False)
+    assert trap.exists() == (not refused)
 
 
 def test_a_stray_thread_does_not_keep_a_finished_task(run: Run) -> None:
@@ -212,7 +236,7 @@ def test_a_task_dies_with_a_parent_that_was_killed(tmp_path: Path) -> None:
         "from prtbake_storage.queue.child import run_task_in_child\n"
         "from prtbake_storage.queue.stages import Task\n"
         "say = lambda message: print(json.dumps(message), flush=True)\n"
-        "run_task_in_child(Task('child_tasks:hang', {}), store_url=sys.argv[1],\n"
+        "run_task_in_child(Task('child_tasks:hang', {}), package='child_tasks', store_url=sys.argv[1],\n"
         "    scratch=Path(sys.argv[1]), on_message=say, should_stop=lambda: None)\n"
     )
     parent = subprocess.Popen(

@@ -5,7 +5,7 @@ import os
 import pickle
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ import sqlalchemy as sa
 
 import prtbake_storage
 from prtbake_storage.contract.jobs import JobError, JobState
-from prtbake_storage.queue.engine import JobQueue, engine_url
+from prtbake_storage.queue.engine import GIVEN_UP, JobQueue, engine_url
 from prtbake_storage.queue.reconcile import MOST_RENEWALS, reconcile_once
 from prtbake_storage.records import Database, Jobs, NewJob, Runs, Stop, Workers
 from prtbake_storage.records.database import normalise_url
+from prtbake_storage.records.models import JobRow
 
 
 @pytest.fixture
@@ -116,22 +117,9 @@ def test_the_queue_and_the_reconciler_together(database: Database, queue: JobQue
     assert queue.statuses(["sent"]) == {}
     assert queue.open_tasks("sent") == {}
     assert queue.open_tasks("sent2") == {other: "ENQUEUED"}
-    assert queue.prune("2000-01-01T00:00:00+00:00") == 0
-    assert queue.prune("2999-01-01T00:00:00+00:00") == 1
+    assert queue.prune("2000-01-01T00:00:00+00:00", limit=10) == 0
+    assert queue.prune("2999-01-01T00:00:00+00:00", limit=10) == 1
     assert queue.statuses(["ended"]) == {}
-
-
-def test_a_lost_submission_is_found_behind_any_number_of_older_jobs(
-    database: Database, queue: JobQueue, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(Runs.unfinished.__kwdefaults__, "page", 2)
-    jobs = Jobs(database)
-    for index in range(5):
-        jobs.create(NewJob(id=f"older-{index}", kind="toy", request={}))
-        queue.submit(f"older-{index}")
-    jobs.create(NewJob(id="lost", kind="toy", request={}))
-    assert reconcile_once(database, queue) == 1
-    assert queue.statuses(["lost"]) == {"lost": "ENQUEUED"}
 
 
 def test_a_workflow_that_ends_before_its_job_begins_is_made_anew_a_few_times(
@@ -149,6 +137,48 @@ def test_a_workflow_that_ends_before_its_job_begins_is_made_anew_a_few_times(
     job = jobs.get("cursed")
     assert (job.state, (job.error or NO_ERROR).code) == ("failed", "engine")
     assert reconcile_once(database, queue, renewals=renewals) == 0
+
+
+def test_a_lost_submission_is_seen_behind_any_number_of_older_jobs(
+    database: Database, queue: JobQueue
+) -> None:
+    """1,003 older jobs wait; one that is to be cancelled lies between them and the lost one."""
+    jobs, runs = Jobs(database), Runs(database)
+    jobs.create(NewJob(id="older-0000", kind="toy", request={}))
+    with database.write() as session:
+        row = session.get_one(JobRow, "older-0000")
+        values = {column.name: getattr(row, column.name) for column in JobRow.__table__.columns}
+        # all of one moment: the pages go on by id within it
+        older = [values | {"id": f"older-{index:04}"} for index in range(1, 1003)]
+        session.execute(sa.insert(JobRow), older)
+    for name in ("unwanted", "lost"):
+        jobs.create(NewJob(id=name, kind="toy", request={}))
+    runs.start("unwanted")
+    jobs.request_cancel("unwanted")
+    pages = list(runs.unfinished())
+    assert [len(page) for page in pages] == [1, 1000, 4]
+    names = [job.job_id for page in pages for job in page]
+    assert names == ["unwanted", *(f"older-{index:04}" for index in range(1003)), "lost"]
+
+    class Sent(JobQueue):
+        """All older ones are known to the engine."""
+
+        def __init__(self) -> None:
+            self.sent: list[str] = []
+
+        def statuses(self, workflow_ids: Sequence[str]) -> dict[str, str]:
+            return {name: "ENQUEUED" for name in workflow_ids if name.startswith("older")}
+
+        def submit(self, job_id: str, **_: object) -> None:
+            self.sent.append(job_id)
+
+        def cancel(self, workflow_ids: Collection[str]) -> None:
+            assert list(workflow_ids) == ["unwanted"]
+
+    sent = Sent()
+    assert reconcile_once(database, sent) == 3
+    assert sent.sent == ["unwanted", "lost"]
+    assert jobs.get("unwanted").state == JobState.canceled
 
 
 class Trap:
@@ -190,3 +220,10 @@ def test_one_module_knows_the_engine() -> None:
         if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.M)
     ]
     assert knowing == [package / "queue" / "engine.py"]
+
+
+def test_what_the_engine_calls_giving_up_is_said_once() -> None:
+    package = Path(prtbake_storage.__file__).parent
+    text = {path: path.read_text() for path in package.rglob("*.py")}
+    for words in (f'"{GIVEN_UP}"', '"poison-task"'):
+        assert [path for path in text if words in text[path]] == [package / "queue" / "engine.py"]

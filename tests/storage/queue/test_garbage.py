@@ -6,12 +6,10 @@ import subprocess
 import sys
 import threading
 import time
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
-import sqlalchemy as sa
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -19,22 +17,18 @@ from child_tasks import TWO_STAGES
 
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import JobState, Progress
-from prtbake_storage.errors import NotFound
 from prtbake_storage.queue.garbage import Collector
 from prtbake_storage.queue.memo import Memory, enter, recall, remember
 from prtbake_storage.queue.settings import QueueSettings
 from prtbake_storage.queue.stages import Measured, Results
 from prtbake_storage.records import (
     Database,
-    Events,
     Jobs,
     NewArtefact,
     NewJob,
     Runs,
     Stop,
 )
-from prtbake_storage.records.clock import utc_now
-from prtbake_storage.records.models import JobRow
 
 MONTH_S = 30 * 86400.0
 
@@ -107,30 +101,6 @@ def test_a_running_job_keeps_the_results_it_stands_on(
     Jobs(database).delete("job")
     assert collector.collect().n_blobs == 1
     assert stored(store) == []
-
-
-def test_ended_jobs_of_the_services_own_go_after_their_retention(
-    database: Database, collector: Collector
-) -> None:
-    jobs, runs = Jobs(database), Runs(database)
-    for name, internal in (("old", True), ("new", True), ("runs", True), ("persons", False)):
-        jobs.create(NewJob(id=name, kind="words", request={"words": []}, internal=internal))
-        runs.start(name)
-        if name != "runs":
-            runs.close(name, Stop(JobState.failed))
-    long_ago = utc_now() - timedelta(days=8)
-    with database.write() as session:
-        session.execute(
-            sa.update(JobRow).where(JobRow.id != "new").values(created=long_ago, finished=long_ago)
-        )
-        session.execute(sa.update(JobRow).where(JobRow.id == "runs").values(finished=None))
-    assert collector.collect(dry_run=True).n_jobs == 1
-    assert Events(database).after("old")
-    assert collector.collect().n_jobs == 1
-    assert Events(database).after("old") == []
-    with pytest.raises(NotFound):
-        jobs.get("old")
-    assert [jobs.get(name).id for name in ("new", "runs", "persons")] == ["new", "runs", "persons"]
 
 
 def test_a_job_in_its_first_stage_keeps_what_is_done(
@@ -224,7 +194,7 @@ def test_an_operator_sees_what_would_go_and_then_lets_it_go(
     )
     output = subprocess.check_output([sys.executable, "-c", program], env=environment)
     said = [json.loads(line) for line in output.splitlines()]
-    went = {"n_blobs": 2, "n_bytes": 3 + 71, "n_results": 2, "n_jobs": 0}
+    went = {"n_blobs": 2, "n_bytes": 3 + 71, "n_results": 2}
     assert said[0] == went | {"dry_run": True}
     assert said[1] == went | {"dry_run": False}
     assert stored(store) == []

@@ -68,7 +68,7 @@ def test_no_word_to_the_engine_is_lost_in_an_outage(server: Server, tmp_path: Pa
     database = create_database(server.url)
     queue, other, shutdown = Interrupted(server), JobQueue(server.url), threading.Event()
     settings = QueueSettings(poll_s=0.05)
-    services = Services(database, LocalBlobStore(tmp_path), settings, shutdown)
+    services = Services(database, LocalBlobStore(tmp_path), settings, shutdown, "no_module")
     Jobs(database).create(NewJob(id="job", kind="toy", request={}))
     walk = threading.Thread(
         target=JobRun(services, queue, TwoTasks(), "job", quick=False).run, daemon=True

@@ -18,11 +18,11 @@ from child_tasks import TWO_STAGES
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import Job, JobState
 from prtbake_storage.queue import patience, stages
-from prtbake_storage.queue.engine import task_id
+from prtbake_storage.queue.engine import GIVEN_UP, task_id
 from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
-from prtbake_storage.queue.stages import Results, Task
+from prtbake_storage.queue.stages import Results, Task, package_of
 from prtbake_storage.queue.tasks import Outcome, Services, TaskRun
 from prtbake_storage.records import Database, Events, Jobs, NewJob, create_database
 from prtbake_storage.testing.blob_contract import digest_of
@@ -33,7 +33,8 @@ def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     settings = QueueSettings(data_dir=tmp_path, poll_s=0.01, retry_wait_s=0.01)
     database = create_database(settings.database_url)
-    yield Services(database, LocalBlobStore(tmp_path / "blobs"), settings, threading.Event())
+    store = LocalBlobStore(tmp_path / "blobs")
+    yield Services(database, store, settings, threading.Event(), package_of(TWO_STAGES))
     database.dispose()
 
 
@@ -224,3 +225,15 @@ def test_an_engine_whose_database_is_away_is_waited_for(
     submitted(services.database, "red")
     job = walk(services, queue)
     assert job.state == JobState.succeeded, job.error
+
+
+def test_a_task_that_too_many_workers_were_lost_with_fails_the_job(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queue, "statuses", lambda names: dict.fromkeys(names, GIVEN_UP))
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.error is not None
+    assert (job.state, job.error.kind, job.error.code) == ("failed", "resource", "poison-task")
+    lost = services.settings.worker_losses
+    assert job.error.detail.startswith(f"{lost} workers were lost while they ran this task")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.queue import stages
 from prtbake_storage.queue.memo import Memory, recall, remember
-from prtbake_storage.queue.stages import Finished, Measured, Results, Stage, Task
+from prtbake_storage.queue.stages import Finished, Measured, Results, Stage, Task, package_of
 from prtbake_storage.queue.tally import Tally
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.runs import TaskProgress
@@ -137,3 +137,9 @@ def test_the_fraction_never_falls_and_stays_in_range(
         assert last <= now.fraction <= 1.0
         assert now.eta_s is None or now.eta_s >= 0.0
         last = now.fraction
+
+
+@pytest.mark.parametrize(("module", "package"), [("kinds", "kinds"), ("a.b.registry", "a.b")])
+def test_tasks_lie_in_the_package_of_their_job_kinds(module: str, package: str) -> None:
+    runner = type("Registry", (), {"__module__": module})()
+    assert package_of(runner) == package

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +49,14 @@ def services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
     database = create_database(settings.database_url)
     Jobs(database).create(NewJob(id="job", kind="words", request={}))
     Runs(database).start("job")
-    yield Services(database, LocalBlobStore(tmp_path / "blobs"), settings, threading.Event())
+    store = LocalBlobStore(tmp_path / "blobs")
+    yield Services(database, store, settings, threading.Event(), "child_tasks")
     database.dispose()
 
 
 def run(services: Services, store: LocalBlobStore | None = None) -> Outcome:
     if store is not None:
-        services = Services(services.database, store, services.settings, services.shutdown)
+        services = replace(services, store=store)
     return TaskRun(services, "job", 0, 0, TASK).run()
 
 
@@ -111,7 +113,7 @@ def test_a_wait_ends_when_the_job_is_cancelled(services: Services) -> None:
     patient = services.settings.model_copy(update={"retry_wait_s": 60.0})
     store = FailingStore(services.store.root, "get_result", 1)
     outcomes: list[Outcome] = []
-    waiting = Services(services.database, store, patient, services.shutdown)
+    waiting = replace(services, store=store, settings=patient)
     thread = threading.Thread(
         target=lambda: outcomes.append(TaskRun(waiting, "job", 0, 0, TASK).run())
     )

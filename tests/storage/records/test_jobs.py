@@ -4,7 +4,6 @@ import itertools
 import threading
 from datetime import UTC, datetime, timedelta, timezone
 
-import numpy as np
 import pytest
 import sqlalchemy as sa
 
@@ -50,48 +49,6 @@ def test_a_submitted_job_comes_back_whole(database: Database) -> None:
     assert job.created.tzinfo is not None
     assert abs(job.created - datetime.now(UTC)) < timedelta(minutes=1)
     assert context_of(database, "a") == {"mesh": "m"}
-
-
-@pytest.mark.parametrize("count", [3, 100, 101, 1234])
-def test_an_ended_job_keeps_few_of_its_progress_events(database: Database, count: int) -> None:
-    put_in_state(database, "job", JobState.running)
-    put_in_state(database, "other", JobState.running)
-    with database.write() as session:
-        rows = [
-            {"job_id": job, "type": "progress", "data": {"n": n}, "created": datetime.now(UTC)}
-            for n in range(1, count + 1)
-            for job in ("job", "other")
-        ]
-        session.execute(sa.insert(EventRow), rows)
-    Events(database).log("job", "a word")
-    before = Events(database).after("job", limit=5000)
-    assert Runs(database).close("job", Stop(JobState.failed, ERROR))
-    left = Events(database).after("job", limit=5000)
-    shown = [event.data["n"] for event in left if event.type == "progress"]
-    assert len(shown) == (count if count <= 100 else -(-count // -(-count // 100)))
-    assert shown[-1] == count
-    assert len(set(np.diff(shown))) == 1
-    # everything else stays, and nothing of another job goes
-    kept = [event for event in left if event.type != "progress"]
-    assert [event.type for event in kept] == ["state", "state", "log", "state"]
-    assert len(before) == count + 3
-    assert len(Events(database).after("other", limit=5000)) == count + 2
-
-
-@pytest.mark.parametrize("page", [1, 2, 3, 100])
-def test_all_unfinished_jobs_are_found_page_by_page(database: Database, page: int) -> None:
-    for index in range(7):
-        put_in_state(database, f"r{index}", (JobState.queued, JobState.running)[index % 2])
-    for index in range(3):
-        put_in_state(database, f"c{index}", JobState.cancel_requested)
-    put_in_state(database, "over", JobState.failed)
-    with database.write() as session:  # the clock may stand still between two submissions
-        session.execute(sa.update(JobRow).values(created=datetime(2026, 1, 1, tzinfo=UTC)))
-    pages = list(Runs(database).unfinished(page=page))
-    found = [job.job_id for jobs in pages for job in jobs]
-    assert found == ["c0", "c1", "c2", *(f"r{index}" for index in range(7))]
-    assert max(len(jobs) for jobs in pages) <= page
-    assert all(pages)
 
 
 def test_nobody_sees_another_projects_job(database: Database) -> None:
@@ -393,3 +350,25 @@ def test_events_of_one_job_appear_in_the_order_of_their_ids(database: Database) 
     reader.join()
     assert seen == [event.id for event in events.after("a")]
     assert len(seen) == n_writers * n_each + 1
+
+
+def test_progress_is_thinned_once_its_job_has_ended(database: Database) -> None:
+    jobs, runs, events = Jobs(database), Runs(database), Events(database)
+    for name in ("ends", "runs"):
+        jobs.create(new_job(name))
+        runs.start(name)
+        with database.write() as session:
+            for second in range(1000):
+                progress = Progress(stage_index=second // 500, fraction=second / 2000, done=second)
+                data, now = progress.model_dump(mode="json"), datetime.now(UTC)
+                session.add(EventRow(job_id=name, type="progress", data=data, created=now))
+        events.log(name, "half way")
+    assert runs.close("ends", Stop(JobState.failed, ERROR))
+    told = [event for event in events.after("ends", limit=5000) if event.type == "progress"]
+    # 0 to 50 percent, one of them twice: the stages change within it
+    assert 50 <= len(told) <= 52
+    assert {499, 999} <= {event.data["done"] for event in told}
+    assert [event.id for event in told] == sorted(event.id for event in told)
+    others = [event.type for event in events.after("ends", limit=5000) if event.type != "progress"]
+    assert others == ["state", "state", "log", "state"]
+    assert len(events.after("runs", limit=5000)) == 1000 + 3  # whoever follows it misses nothing
