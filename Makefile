@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/pytest
+# every test process and every task's child would compile the packages anew
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup gl demo ladder test bunny check bench figure7 serve docs format lock clean
 .DEFAULT_GOAL := help

@@ -21,7 +21,6 @@ from support.scenes import (
     SMALL,
     asset_request,
     context_of,
-    run_asset,
     run_until,
     teapot_context,
     validation_of,
@@ -186,7 +185,7 @@ def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):
 
     request, _, results = glossy_asset
     other = open_store((tmp_path / "blobs").as_uri())
-    again = run_asset(other, request, teapot_context(other, request))
+    again = run_until(other, request, teapot_context(other, request), "fit_light")
     assert again["join"][0]["transfer"] == results["join"][0]["transfer"]
     assert again["quantise"][0]["asset"] == results["quantise"][0]["asset"]
     assert again["fit_light"][0]["light"] == results["fit_light"][0]["light"]
@@ -250,6 +249,8 @@ def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
     alone = lines_of(validated)
     assert "compression" not in alone
     artefacts["exact"] = {"digest": results["quantise"][0]["exact"]}
+    # the first camera is enough to compare
+    validate["settings"] = {**validate["settings"], "cameras": [{"name": "front"}]}
     held = lines_of(run_stages(REGISTRY.stages("validate", validate, context), store))
     assert held == lines_of(results)
     merged = alone["compression and 16-bit factors"]

@@ -16,7 +16,7 @@ def view_of(store, brdf):
     context = context_of(
         store,
         request,
-        {"builtin": {"name": "icosphere", "tessellation": 3}},
+        {"builtin": {"name": "icosphere", "tessellation": 2}},
         {"builtin": {"name": "sun_sky", "width": 64}},
     )
     results = run_until(store, request, context, "fit_light")

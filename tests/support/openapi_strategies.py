@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from hypothesis import strategies as st
@@ -21,28 +22,32 @@ ODDITIES = 12
 """One value in so many is odd."""
 
 
-def values(schema: Schema, document: Schema, depth: int = 0) -> st.SearchStrategy[Any]:
+STRANGE = st.integers(1, ODDITIES).map(lambda n: n == 1)
+
+
+def values(schema: Schema, document: Schema) -> st.SearchStrategy[Any]:
     """Values that a schema allows, now and then with something odd in their place."""
-    strange = st.integers(1, ODDITIES).map(lambda n: n == 1)
-    return strange.flatmap(lambda odd: ODD if odd else _allowed(schema, document, depth))
+    # built when first drawn, and once: every draw of a job's request passes through hundreds
+    allowed = cache(lambda: _allowed(schema, document))
+    return STRANGE.flatmap(lambda odd: ODD if odd else allowed())
 
 
-def _allowed(schema: Schema, document: Schema, depth: int) -> st.SearchStrategy[Any]:
+def _allowed(schema: Schema, document: Schema) -> st.SearchStrategy[Any]:
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
-        return values(document["components"]["schemas"][name], document, depth + 1)
+        return values(document["components"]["schemas"][name], document)
     for choice in ("anyOf", "oneOf"):
         if choice in schema:
-            return st.one_of([values(option, document, depth + 1) for option in schema[choice]])
+            return st.one_of([values(option, document) for option in schema[choice]])
     if "const" in schema:
         return st.just(schema["const"])
     if "enum" in schema:
         return st.sampled_from(schema["enum"])
     match schema.get("type"):
         case "object":
-            return _objects(schema, document, depth)
+            return _objects(schema, document)
         case "array":
-            return _arrays(schema, document, depth)
+            return _arrays(schema, document)
         case "string":
             return _strings(schema)
         case "integer":
@@ -64,21 +69,21 @@ def _bounds(schema: Schema) -> tuple[float, float]:
     return low, low + 100.0 if high is None else high
 
 
-def _objects(schema: Schema, document: Schema, depth: int) -> st.SearchStrategy[Any]:
+def _objects(schema: Schema, document: Schema) -> st.SearchStrategy[Any]:
     properties = schema.get("properties", {})
     # the tag of a union is never left out: nothing behind it would be looked at
     needed = set(schema.get("required", ())) | ({"kind", "model"} & set(properties))
-    fields = {name: values(inner, document, depth + 1) for name, inner in properties.items()}
+    fields = {name: values(inner, document) for name, inner in properties.items()}
     return st.fixed_dictionaries(
         {name: field for name, field in fields.items() if name in needed},
         optional={name: field for name, field in fields.items() if name not in needed},
     )
 
 
-def _arrays(schema: Schema, document: Schema, depth: int) -> st.SearchStrategy[Any]:
+def _arrays(schema: Schema, document: Schema) -> st.SearchStrategy[Any]:
     if "prefixItems" in schema:
-        return st.tuples(*[values(item, document, depth + 1) for item in schema["prefixItems"]])
-    items = values(schema.get("items", {}), document, depth + 1)
+        return st.tuples(*[values(item, document) for item in schema["prefixItems"]])
+    items = values(schema.get("items", {}), document)
     return st.lists(items, min_size=schema.get("minItems", 0), max_size=3)
 
 

@@ -1,5 +1,7 @@
 """The operator's own error, predicted from two draws, against the one that is there."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -22,19 +24,26 @@ def direct(scene):
     return np.maximum(scene.normals @ axes.T, 0.0).astype(np.float32)
 
 
-@pytest.mark.parametrize("n_rays", [16, 64])
-@pytest.mark.parametrize("albedo", [(0.7,), (0.9, 0.5, 0.2)])
-def test_the_error_is_predicted(scene, direct, n_rays, albedo):
+@pytest.fixture(scope="module")
+def block(scene):
+    """The operator's matrices for an albedo, a number of rays and a seed, each built once."""
     surface = opaque(scene)
 
-    def block(n_rays, seed):
+    @cache
+    def build(albedo, n_rays, seed):
         return build_bounce_block(
             surface, (0, scene.n_vertices), albedo=Albedo.constant(*albedo), n_rays=n_rays,
             seed=seed,
         ).matrices  # fmt: skip
 
-    first, second = block(n_rays, 1), block(n_rays, 2)
-    truth = block(4096, 3)
+    return build
+
+
+@pytest.mark.parametrize("n_rays", [16, 64])
+@pytest.mark.parametrize("albedo", [(0.7,), (0.9, 0.5, 0.2)])
+def test_the_error_is_predicted(scene, direct, block, n_rays, albedo):
+    first, second = block(albedo, n_rays, 1), block(albedo, n_rays, 2)
+    truth = block(albedo, 4096, 3)
     predicted = scene.areas @ bounce_noise(direct, first, second)
     actual = sum(
         scene.areas @ (((one - other) @ direct) ** 2).sum(axis=1)
@@ -45,5 +54,6 @@ def test_the_error_is_predicted(scene, direct, n_rays, albedo):
     # the negative twin: one draw against itself knows nothing
     assert not bounce_noise(direct, first, first).any()
     # and more rays err less: by 4^(3/2) at silhouettes, by 4 if rays were independent
-    finer = scene.areas @ bounce_noise(direct, block(4 * n_rays, 1), block(4 * n_rays, 2))
+    more = [block(albedo, 4 * n_rays, seed) for seed in (1, 2)]
+    finer = scene.areas @ bounce_noise(direct, *more)
     assert finer < 0.25 * predicted

@@ -220,7 +220,7 @@ def test_the_limit_of_a_short_path_is_the_albedo_times_the_transfer(smooth, ball
 
 def test_no_light_is_made():
     """Even light on a convex body: exitance nowhere above the albedo, and the total is below it."""
-    scene = Scene.from_parts([sphere_mesh(4)])
+    scene = Scene.from_parts([sphere_mesh(3)])
     for path in (1e-4, 0.03, 0.3):
         dipole = skin(path)
         out = SubsurfaceOperator(scene, dipole).apply(np.ones((scene.n_vertices, 1), np.float32))

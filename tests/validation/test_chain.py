@@ -13,12 +13,15 @@ from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.environment.sampling import EnvironmentSampler
+from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.validation.chain import LINES, fitted_light, validate_camera
 from prtbake_workers.validation.hits import trace_camera
 from prtbake_workers.validation.light import draw_pass
 from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import asset_picture, sampled_terms
+from support.local_stages import run_stages
 from support.scenes import (
+    SMALL,
     asset_request,
     relative_difference,
     run_until,
@@ -36,20 +39,44 @@ def store(tmp_path_factory):
     return open_store((tmp_path_factory.mktemp("chain") / "blobs").as_uri())
 
 
-def scene_of(store, **settings):
-    request = asset_request(settings=settings)
+def bake(store, **settings):
+    """Context and results of every stage before the pictures."""
+    request = asset_request(settings={"bake": settings})
     context = teapot_context(store, request)
-    results = run_until(store, request, context, "fit_light")
-    return validation_of(store, results, context["environment"]["canonical"])
-
-
-def chain(store, camera, rotations, **settings):
-    return validate_camera(scene_of(store, **settings), camera, rotations, SETTINGS, seed=1)
+    return context, run_until(store, request, context, "fit_light")
 
 
 @pytest.fixture(scope="module")
-def validation(store):
-    return scene_of(store)
+def plain_bake(store):
+    return bake(store)
+
+
+@pytest.fixture(scope="module")
+def turned_bake(store):
+    return bake(store, frame_seed=3)
+
+
+def scene_of(store, baked):
+    context, results = baked
+    return validation_of(store, results, context["environment"]["canonical"])
+
+
+def uncut_scene_of(store, baked):
+    """The same transfer compressed to full ranks."""
+    context, results = baked
+    request = {
+        "kind": "compress", "transfer": "job/transfer.h5",
+        "settings": SMALL["compress"] | {"ranks": FULL_RANKS},
+    }  # fmt: skip
+    transfer = {"transfer": {"digest": results["join"][0]["transfer"]}}
+    stages = REGISTRY.stages("compress", request, {**context, "artefacts": transfer})
+    uncut = {**results, "quantise": run_stages(stages, store)["quantise"]}
+    return scene_of(store, (context, uncut))
+
+
+@pytest.fixture(scope="module")
+def validation(store, plain_bake):
+    return scene_of(store, plain_bake)
 
 
 @pytest.fixture(scope="module")
@@ -77,21 +104,20 @@ def picture(view, name):
     return view.chain[LINES.index(name)].mean
 
 
-def test_random_frames_change_no_picture(store, plain):
+def test_random_frames_change_no_picture(store, turned_bake, plain):
     """Terms come in whole +-m pairs, so a turn of a frame is a rotation within them.
 
     What is left is float32 and 16-bit rounding of the transfer: 1e-5 was measured.
     """
-    turned = chain(store, Camera(), [np.eye(3)], bake={"frame_seed": 3})
+    scene = scene_of(store, turned_bake)
+    turned = validate_camera(scene, Camera(), [np.eye(3)], SETTINGS, seed=1)
     for name in ("K terms", "vertex interpolation", "SRBF basis", "16-bit transfer"):
         assert relative_difference(picture(turned[0], name), picture(plain[0], name)) < 1e-3
 
 
-def test_random_frames_change_no_delivered_picture(store):
+def test_random_frames_change_no_delivered_picture(store, plain_bake, turned_bake):
     """Uncut, so that nothing but the frames can tell the two assets apart."""
-    uncut = {"compress": {"ranks": FULL_RANKS}}
-    plain = scene_of(store, **uncut)
-    turned = scene_of(store, bake={"frame_seed": 3}, **uncut)
+    plain, turned = (uncut_scene_of(store, baked) for baked in (plain_bake, turned_bake))
     hits = trace_camera(plain, Camera(), SETTINGS.width, SETTINGS.height)
     light = fitted_light(plain, np.eye(3))
     expected = asset_picture(plain.delivered, light, hits)
