@@ -117,7 +117,8 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for part in header.parts
     ]
     effects = header.provenance.get("effects", [])
-    return {"plan": {"parts": parts, "effects": effects, "notes": [], "seconds": {}}}
+    plan = {"parts": parts, "effects": effects, "bounces": None, "notes": [], "seconds": {}}
+    return {"plan": plan}
 
 
 def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
