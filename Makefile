@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/pytest
 
-.PHONY: help setup gl demo ladder test bunny check bench serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench results serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -58,6 +58,10 @@ format: setup ## Format and mend what can be mended
 bench: setup ## Speed, memory and error beside a limit measured in the same run
 	$(BIN)/python tests/benchmarks/run.py
 
+results: setup gl ## Measure the bunny and spot anew, into docs/measured and docs/images (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	$(BIN)/python tests/measured/run.py
+
 serve: setup gl ## Service and two workers on loopback
 	$(BIN)/prtbake serve
 
@@ -70,4 +74,4 @@ lock: ## Pin and hash the requirements (needs uv)
 	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --group dev --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/dev.txt
 
 clean: ## Remove what the other targets built
-	rm -rf $(VENV) site demo-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site demo-output results-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
