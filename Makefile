@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure7 serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure7 results serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -63,6 +63,10 @@ bench: setup ## Speed, memory and error beside a limit measured in the same run
 figure7: setup ## Sloan's figure 7 in numbers: hemispherical projections compared, in figure7-output/
 	PYTHONPATH=tests $(BIN)/python -m figures.figure7 --to figure7-output
 
+results: setup gl ## Measure the bunny and spot anew, into docs/measured and docs/images (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	$(BIN)/python tests/measured/run.py
+
 serve: setup gl ## Service and two workers on loopback
 	$(BIN)/prtbake serve
 
@@ -75,4 +79,4 @@ lock: ## Pin and hash the requirements (needs uv)
 	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --group dev --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/dev.txt
 
 clean: ## Remove what the other targets built
-	rm -rf $(VENV) site demo-output figure7-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site demo-output figure7-output results-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -28,7 +28,8 @@ def _clean_environment() -> None:
     os.execve(sys.executable, [sys.executable, *sys.argv], env)
 
 
-def _cpu_name() -> str:
+def cpu_name() -> str:
+    """Return the processor's name, or its architecture where it has none."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -43,7 +44,7 @@ def machine_lines() -> list[str]:
     from threadpoolctl import threadpool_info
 
     lines = [
-        f"cpu     {_cpu_name()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.2f}",
+        f"cpu     {cpu_name()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.2f}",
         f"python  {platform.python_version()}, numpy {np.__version__}",
     ]
     lines += [

@@ -290,7 +290,7 @@ def test_estimate_plans_without_running(glossy_asset, store):
     assert estimate["total_seconds"] == pytest.approx(sum(estimate["seconds"].values()))
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
     assert set(estimate["seconds"]) == {
-        "plan", "bake", "compress", "fit_light", "render", "validate",
+        "plan", "bake", "bounces", "compress", "fit_light", "render", "validate",
     }  # fmt: skip
     assert set(estimate["artefact_bytes"]) == {"transfer.h5", "asset.h5"}
     # with more workers it lasts less, down to what no other worker can help with
@@ -317,7 +317,7 @@ def test_the_estimate_of_a_bake_holds_what_a_bake_does(glossy_asset, store):
             found[body["kind"], n_centres] = run_stages(stages, store)["estimate"][0]
     for n_centres in (42, 642):
         alone, whole = found["bake", n_centres], found["asset", n_centres]
-        assert set(alone["seconds"]) == {"plan", "bake"}
+        assert set(alone["seconds"]) == {"plan", "bake", "bounces"}
         assert set(alone["artefact_bytes"]) == {"transfer.h5"}
         assert alone["artefact_bytes"]["transfer.h5"] == whole["artefact_bytes"]["transfer.h5"]
         memory = alone["plan"]["memory_bytes"]
