@@ -1,5 +1,6 @@
 """The main job's stages, for real, in this process."""
 
+import html
 import json
 from dataclasses import replace
 
@@ -52,6 +53,21 @@ def test_the_result_says_error_and_cost_of_every_stage(glossy_asset):
     assert result["seconds"]["total"] > 0
     assert result["bytes"]["asset.h5"] < result["bytes"]["transfer.h5"]
     assert {effect["effect"] for effect in result["effects"]} >= {"self_shadowing"}
+
+
+def test_every_own_error_is_named_by_its_norm(glossy_asset, store):
+    *_, results = glossy_asset
+    written = results["report"][0]
+    stages = json.loads(store.read_bytes(written["json"]))["stages"]
+    page = store.read_bytes(written["html"]).decode()
+    for stage in stages:
+        assert bool(stage["errors_are"]) == bool(stage["errors"]), stage["name"]
+        if stage["errors"]:
+            assert html.escape(stage["errors_are"]).replace("&#x27;", "&#39;") in page
+    named = {stage["name"]: stage["errors_are"] for stage in stages if stage["errors"]}
+    assert len(set(named.values())) == 5
+    # neither is weighted by area
+    assert "area" not in named["plan"] + named["fit_light"]
 
 
 def test_the_projection_error_holds_between_the_directions_too(glossy_asset):

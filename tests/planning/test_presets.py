@@ -4,6 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from prtbake_storage.contract.settings import AssetSettings, CompressSettings
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.planning.presets import LADDER, resolve_compression, resolve_stages
 
 
@@ -24,6 +25,15 @@ def test_medium_holds_the_paper_s_settings_but_for_its_rays():
     rays = {name: resolve_stages(name, AssetSettings()).bake.supersample for name in LADDER}
     assert (rays["medium"], rays["high"], rays["reference"]) == (1, 2, 2)
     assert max(rays.values()) < 4
+
+
+def test_a_quality_and_overrides_that_ask_too_much_together_are_refused():
+    """Neither the request nor the quality is too much by itself."""
+    size = {"width": 1024, "height": 1024, "rotations_deg": [(0.0, 0.0, 0.0)] * 2}
+    assert resolve_stages("medium", AssetSettings(validation=size)).validation.passes == 8
+    with pytest.raises(SettingsError, match="passes x rotations is 67108864") as caught:
+        resolve_stages("reference", AssetSettings(validation=size))
+    assert caught.value.pointer == "/settings/validation/rotations_deg"
 
 
 def test_overrides_replace_only_the_fields_given():

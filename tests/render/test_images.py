@@ -13,7 +13,6 @@ from PIL import Image
 
 from prtbake_storage.errors import InputError
 from prtbake_workers.render.images import (
-    animation_bytes,
     auto_exposure,
     difference_image,
     exr_bytes,
@@ -129,14 +128,6 @@ def test_decoding_a_texture_takes_little_more_than_its_result() -> None:
     tracemalloc.stop()
     # 12 bytes a pixel are the result, 3 to 6 its codes; through float64 it took 106
     assert peak < 24 * side**2
-
-
-def test_animations_keep_their_frames() -> None:
-    frames = [np.full((4, 5, 3), value, np.uint8) for value in (0, 100, 200)]
-    image = Image.open(io.BytesIO(animation_bytes(frames, 12.0)))
-    assert image.n_frames == 3
-    image.seek(2)
-    np.testing.assert_array_equal(np.asarray(image.convert("RGB")), frames[2])
 
 
 def test_differences_are_heat(rng: np.random.Generator) -> None:

@@ -1,5 +1,7 @@
 """Every error is problem+json with a code and, where there is one, a pointer to the field."""
 
+from typing import Any
+
 import httpx
 import pytest
 
@@ -85,6 +87,48 @@ def test_two_cameras_of_one_name_are_refused(
     assert "cameras 0 and 1 are both called 'front'" in problem["detail"]
     body["settings"] = {stage: {"cameras": [{"azimuth_deg": 0}, {"name": "side"}]}}
     assert http.post("/v1/jobs", json=body).status_code == 202
+
+
+TOO_MUCH = [
+    ("render", "turntable_frames", {"width": 4096, "height": 4096, "turntable_frames": 33}),
+    ("validation", "passes", {"width": 2048, "height": 2048, "passes": 9}),
+    (
+        "validation",
+        "rotations_deg",
+        {"width": 2048, "height": 2048, "rotations_deg": [[0, 0, 0]] * 2},
+    ),
+]
+"""Each field by itself is legal; together they would take 1.7 GB of frames, 3.6 and 6.4 GB."""
+
+
+@pytest.mark.parametrize(("stage", "field", "settings"), TOO_MUCH)
+def test_settings_that_ask_too_much_together_are_refused(
+    http: httpx.Client,
+    mesh: str,
+    environment: str,
+    stage: str,
+    field: str,
+    settings: dict[str, Any],
+) -> None:
+    body = {
+        "kind": "asset",
+        "mesh": mesh,
+        "environment": environment,
+        "brdf": {"model": "lambert"},
+        "settings": {stage: settings},
+    }
+    problem = http.post("/v1/jobs", json=body).json()
+    assert (problem["status"], problem["pointer"]) == (422, f"/settings/{stage}/{field}")
+    assert (
+        f"width x height x {'turntable_frames' if stage == 'render' else 'passes'}"
+        in problem["detail"]
+    )
+    # one less of it is taken
+    settings = dict(settings)
+    settings[field] = (
+        settings[field][1:] if isinstance(settings[field], list) else settings[field] - 1
+    )
+    assert http.post("/v1/jobs", json=body | {"settings": {stage: settings}}).status_code == 202
 
 
 def test_broken_json_is_malformed(http: httpx.Client) -> None:

@@ -1,5 +1,6 @@
 """Settings of every stage, with the papers' values as ``medium``-to-``high`` defaults."""
 
+from math import prod
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
@@ -106,6 +107,13 @@ def _distinct(cameras: list[Camera]) -> list[Camera]:
 Cameras = Annotated[list[Camera], Field(min_length=1, max_length=16), AfterValidator(_distinct)]
 
 
+MOST_TURNTABLE_PIXELS = 1 << 29
+"""Of all frames together: 360 of 1280 x 960."""
+
+MOST_PASS_PIXELS = 1 << 25
+"""Pixels x passes x rotations of a camera: all are held until its budget is made, in 96 bytes."""
+
+
 class RenderSettings(Wire):
     """Previews: one picture a camera, and ``turntable_frames`` with the light turning."""
 
@@ -116,6 +124,16 @@ class RenderSettings(Wire):
     turntable_frames: Annotated[int, Field(ge=0, le=360)] = 0
     backend: Literal["auto", "egl", "cpu"] = "auto"
     exposure: Positive | None = None
+
+    @field_validator("turntable_frames")
+    @classmethod
+    def _bounded(cls, frames: int, info: ValidationInfo) -> int:
+        pixels = frames * info.data.get("width", 1) * info.data.get("height", 1)
+        if pixels > MOST_TURNTABLE_PIXELS:
+            raise ValueError(
+                f"width x height x turntable_frames is {pixels}: at most {MOST_TURNTABLE_PIXELS}"
+            )
+        return frames
 
 
 REFERENCE_BOUNCES = 8
@@ -160,6 +178,18 @@ class ValidateSettings(Wire):
     def paths(self) -> int:
         """Paths a pixel and pass, where there are bounces."""
         return self.bounce_samples or max(1, self.samples // SAMPLES_PER_PATH)
+
+    @field_validator("passes", "rotations_deg")
+    @classmethod
+    def _bounded(cls, value: int | list[Vec3], info: ValidationInfo) -> int | list[Vec3]:
+        given = info.data
+        counts = [given.get("width", 1), given.get("height", 1), given.get("passes", 1)]
+        pixels = prod(counts) * (value if isinstance(value, int) else len(value))
+        if pixels > MOST_PASS_PIXELS:
+            raise ValueError(
+                f"width x height x passes x rotations is {pixels}: at most {MOST_PASS_PIXELS}"
+            )
+        return value
 
 
 STAGES: dict[str, type[Wire]] = {

@@ -202,7 +202,7 @@ def _only(kind: str, seconds: float | None, n_tasks: int, given: dict[str, Any])
 
 def _duration(seconds: dict[str, float], tasks: dict[str, int], given: dict[str, Any]) -> float:
     """Predict how long a job lasts: the tasks of a stage share the slots of all live workers."""
-    slots: int = max(1, given.get("tile_slots", 1))
+    slots = max(1, int(given.get("tile_slots", 1)))
     return sum(work / min(slots, tasks.get(stage, 1)) for stage, work in seconds.items())
 
 

@@ -1,6 +1,6 @@
 """Job kind ``render``: previews and turntables from an asset and a light."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -13,9 +13,10 @@ from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.arrays import U8
+from prtbake_workers.render.animation import write_animation
 from prtbake_workers.render.camera import framing_bounds, pinhole
 from prtbake_workers.render.images import (
-    animation_bytes,
     auto_exposure,
     exr_bytes,
     png_bytes,
@@ -27,6 +28,8 @@ _MODULE = "prtbake_workers.jobs.render"
 SAMPLES = 2
 """Points a pixel, along each side."""
 FRAMES_PER_SECOND = 15.0
+MEMORY_BYTES = 24 << 30
+"""Of address space, of which graphics drivers map far more than they use."""
 
 
 def stages(inputs_of: Callable[[Results], dict[str, Any]], settings: RenderSettings) -> list[Stage]:
@@ -34,7 +37,8 @@ def stages(inputs_of: Callable[[Results], dict[str, Any]], settings: RenderSetti
     dumped = settings.model_dump(mode="json")
 
     def render(results: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:render", {**inputs_of(results), "settings": dumped})]
+        args = {**inputs_of(results), "settings": dumped}
+        return [Task(f"{_MODULE}:render", args, memory_bytes=MEMORY_BYTES)]
 
     return [Stage("render", "pictures", 3.0, render)]
 
@@ -76,22 +80,24 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 }
             )
             context.progress(len(pictures) / 2, total, "pictures")
-        turntable = []
-        for frame in range(frames):
-            turn = rotation_matrix((0.0, 360.0 * frame / frames, 0.0))
-            renderer.set_light(whitened_light(asset, light, turn @ base, roots=roots))
-            picture = renderer.render(views[0], width, height, samples=SAMPLES)
-            exposure = exposure or auto_exposure(picture.radiance, picture.coverage)
-            turntable.append(to_srgb8(picture.radiance, exposure))
-            context.progress(len(settings.cameras) + frame + 1, total, "pictures")
-        if turntable:
+
+        def turntable() -> Iterator[U8]:
+            for frame in range(frames):
+                turn = rotation_matrix((0.0, 360.0 * frame / frames, 0.0))
+                renderer.set_light(whitened_light(asset, light, turn @ base, roots=roots))
+                picture = renderer.render(views[0], width, height, samples=SAMPLES)
+                shown = exposure or auto_exposure(picture.radiance, picture.coverage)
+                yield to_srgb8(picture.radiance, shown)
+                context.progress(len(settings.cameras) + frame + 1, total, "pictures")
+
+        if frames:
+            path = context.scratch / "turntable.png"
+            write_animation(path, turntable(), frames, FRAMES_PER_SECOND)
             pictures.append(
                 {
                     "name": "turntable.png",
                     "media_type": "image/apng",
-                    "digest": context.store.put_bytes(
-                        animation_bytes(turntable, FRAMES_PER_SECOND)
-                    ),
+                    "digest": context.store.put_file(path, move=True),
                 }
             )
         info = asdict(renderer.info)

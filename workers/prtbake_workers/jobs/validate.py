@@ -41,6 +41,8 @@ from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 _MODULE = "prtbake_workers.jobs.validate"
 READ_CHUNKS = 8
 """Chunks of the transfer file, of about 1 MiB, read at a time: 24 MiB with their float32 copy."""
+MEMORY_BYTES = 12 << 30
+"""What the contract allows takes 3 GiB of pictures, beside the assets and the reference's rays."""
 DIFFERENCE_SCALE = 0.25
 """Exposed difference that the heat picture shows as white."""
 
@@ -66,6 +68,7 @@ def stages(
                     "seed": seed + 1000 * index,
                 },
                 label=camera.name,
+                memory_bytes=MEMORY_BYTES,
             )
             for index, camera in enumerate(settings.cameras)
         ]

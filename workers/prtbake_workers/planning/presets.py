@@ -10,6 +10,8 @@ scene; that of interpolating between vertices, which no setting here changes, of
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pydantic import ValidationError
+
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
@@ -166,8 +168,18 @@ def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
         compress=CompressSettings.model_validate(step.compress | overrides.compress),
         fit_light=FitLightSettings.model_validate(step.fit_light | overrides.fit_light),
         render=RenderSettings.model_validate(overrides.render),
-        validation=ValidateSettings.model_validate(step.validation | overrides.validation),
+        validation=_validation(step.validation | overrides.validation),
     )
+
+
+def _validation(fields: dict[str, Any]) -> ValidateSettings:
+    """Check the whole: fields that are legal by themselves may ask too much of a quality's rest."""
+    try:
+        return ValidateSettings.model_validate(fields)
+    except ValidationError as error:
+        (first, *_) = error.errors()
+        where = "/".join(map(str, first["loc"]))
+        raise SettingsError(first["msg"], pointer=f"/settings/validation/{where}") from error
 
 
 @dataclass(frozen=True)

@@ -64,24 +64,6 @@ def png_bytes(
     return _save(Image.fromarray(rgba), "PNG")
 
 
-def animation_bytes(
-    frames: Sequence[UInt8[U8, "height width 3"]], frames_per_second: float
-) -> bytes:
-    """Encode frames as an endless animated PNG."""
-    first, *rest = [Image.fromarray(frame) for frame in frames]
-    buffer = io.BytesIO()
-    first.save(
-        buffer,
-        "PNG",
-        save_all=True,
-        append_images=rest,
-        duration=1000.0 / frames_per_second,
-        loop=0,
-        compress_level=6,
-    )
-    return buffer.getvalue()
-
-
 def exr_bytes(
     radiance: Float32[F32, "height width 3"],
     coverage: Float32[F32, "height width"] | None = None,

@@ -9,6 +9,21 @@ from typing import Any
 
 from prtbake_workers.validation.budget import Budget, BudgetLine, pool_budgets
 
+ERRORS_ARE = {
+    "plan": "what the K terms leave of the BRDF, over all pairs of directions with weight "
+    "cos² cos², over the BRDF's own norm",
+    "bake": "what the projection leaves of the transport in the directions of the fit and in "
+    "others, and what 16 bits change of its coefficients: weighted by area, over the transport "
+    "sampled in the same directions; over that of the fit for the 16 bits",
+    "compress": "what clusters and ranks leave of the stored coefficients: weighted by area, over "
+    "these coefficients",
+    "quantise": "of a part: what 16 bits change of the compressed coefficients, weighted by area, "
+    "over the transport as it was baked; of a view texture: what its lookup changes of the BRDF's "
+    "terms, over all pairs of directions with weight cos² cos², over these terms",
+    "fit_light": "what the lobes leave of the environment, over the sphere, over the environment",
+}
+"""Norm and denominator of each stage's own errors; all are ratios of squared radiance."""
+
 
 @dataclass(frozen=True)
 class StageAccount:
@@ -135,7 +150,10 @@ def make_report(
     return {
         "title": title,
         "summary": summary,
-        "stages": [asdict(stage) for stage in stages],
+        "stages": [
+            asdict(stage) | {"errors_are": ERRORS_ARE.get(stage.name) if stage.errors else None}
+            for stage in stages
+        ],
         "errors": {stage.name: stage.errors for stage in stages if stage.errors},
         "seconds": {stage.name: stage.seconds for stage in stages} | {"total": seconds},
         "bytes": dict(sizes or {}),
