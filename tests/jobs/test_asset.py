@@ -65,7 +65,7 @@ def test_every_own_error_is_named_by_its_norm(glossy_asset, store):
         if stage["errors"]:
             assert html.escape(stage["errors_are"]).replace("&#x27;", "&#39;") in page
     named = {stage["name"]: stage["errors_are"] for stage in stages if stage["errors"]}
-    assert len(set(named.values())) == 5
+    assert len(set(named.values())) == 6
     # neither is weighted by area
     assert "area" not in named["plan"] + named["fit_light"]
 

@@ -159,16 +159,20 @@ def _bounces(report: Report) -> str:
     if bounces is None:
         return "None were baked; the table of effects says why."
     text = table(
-        ["bounce", "energy added, of the whole"],
-        ([str(k), percent(added)] for k, added in enumerate(bounces["added"], start=1)),
+        ["bounce", *(f"energy added to the {name}" for name in bounces["added"])],
+        (
+            [str(k), *map(percent, added)]
+            for k, added in enumerate(zip(*bounces["added"].values(), strict=True), start=1)
+        ),
     )
     channels = "one channel" if bounces["channels"] == 1 else f"{bounces['channels']} channels"
-    left = (
+    left = ", ".join(f"{percent(v)} to the {name}" for name, v in bounces["left_out"].items())
+    rest = (
         "nothing bounds what later bounces would add"
-        if bounces["left_out"] is None
-        else f"later bounces would add {percent(bounces['left_out'])} ({bounces['left_out_is']})"
+        if not bounces["left_out"]
+        else f"later bounces would add {left} ({bounces['left_out_is']})"
     )
-    return f"{text}\n\nIn {channels}; {left}."
+    return f"{text}\n\nIn {channels}; {rest}."
 
 
 def _pairs(pairs: Sequence[RankPair]) -> str:

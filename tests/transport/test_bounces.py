@@ -45,30 +45,47 @@ def bounced(surface, direct, factorisations, albedo, **changes):
     )  # fmt: skip
 
 
+def missed(scene, full, cut):
+    """Squared norm of what one lacks of the other, a part each."""
+    return np.array(
+        [
+            float(scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
+            for (start, stop), a, b in zip(scene.part_ranges, full.added, cut.added, strict=True)
+        ]
+    )
+
+
 @pytest.mark.parametrize("colour", [(0.6,), (0.8, 0.4, 0.1)])
 def test_diffuse_bounces_are_the_series_of_the_sparse_operator(surface, diffuse, colour):
     scene, albedo = surface.scene, Albedo.constant(*colour)
     direct = positive(scene, [diffuse] * 2)
-    found = bounced(surface, direct, [diffuse] * 2, albedo)
+    found = bounced(surface, direct, [diffuse] * 2, albedo, tolerance=0.0, max_bounces=12)
     operator = build_bounce_block(
         surface, (0, scene.n_vertices), albedo=albedo, n_rays=N_RAYS, seed=SEED
     )
     whole = np.concatenate(direct)[:, 0]
     series = bounce_series(
-        whole, operator.matrices, areas=scene.areas, tolerance=1e-6, max_bounces=30
+        whole, operator.matrices, areas=scene.areas, tolerance=0.0, max_bounces=12
     )
     expected = (series.transfer - whole).transpose(1, 0, 2)
-    # float32 sums in another order, over up to 30 bounces
+    # float32 sums in another order, over 12 bounces
     np.testing.assert_allclose(
         np.concatenate(found.added)[:, :, 0], expected, atol=2e-5 * expected.max()
     )
     assert expected.max() > 0.1
-    shares = np.array(found.bounce_energies) / found.total_energy
-    assert len(shares) == series.report.n_bounces
-    assert shares[-1] <= 1e-6 < shares[-2]
+    shares = found.bounce_energies.sum(axis=1) / found.total_energy.sum()
+    np.testing.assert_allclose(shares[-1], series.report.added[-1], rtol=1e-3)
     assert found.is_bound
     assert series.report.remainder is not None
-    assert found.remainder_energy / found.total_energy <= series.report.remainder * 1.001
+    left = found.remainder_energy.sum() / found.total_energy.sum()
+    assert left <= series.report.remainder * 1.001
+
+
+def test_bounces_stop_after_the_first_that_no_part_needs(surface, diffuse):
+    albedo, direct = Albedo.constant(0.6), positive(surface.scene, [diffuse] * 2)
+    found = bounced(surface, direct, [diffuse] * 2, albedo, tolerance=1e-4)
+    shares = (found.bounce_energies / found.total_energy).max(axis=1)
+    assert shares[-1] <= 1e-4 < shares[-2]
 
 
 def test_the_bound_holds_what_is_left_out(surface, diffuse):
@@ -77,13 +94,9 @@ def test_the_bound_holds_what_is_left_out(surface, diffuse):
     for n in (1, 2, 4):
         cut = bounced(surface, direct, [diffuse] * 2, albedo, tolerance=0.0, max_bounces=n)
         assert len(cut.bounce_energies) == n
-        missing = sum(
-            float(surface.scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
-            for (start, stop), a, b in zip(
-                surface.scene.part_ranges, full.added, cut.added, strict=True
-            )
-        )
-        assert 0.2 * cut.remainder_energy < missing <= 1.001 * cut.remainder_energy
+        missing = missed(surface.scene, full, cut)
+        assert (0.1 * cut.remainder_energy < missing).all()
+        assert (missing <= 1.001 * cut.remainder_energy).all()
 
 
 def test_the_estimate_for_glossy_parts_is_of_the_right_size(surface, diffuse):
@@ -106,25 +119,20 @@ def test_the_estimate_for_glossy_parts_is_of_the_right_size(surface, diffuse):
     )
     full = bounced(surface, direct, parts, albedo, tolerance=1e-12, max_bounces=40)
     cut = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=3)
-    missing = sum(
-        float(scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
-        for (start, stop), a, b in zip(scene.part_ranges, full.added, cut.added, strict=True)
-    )
+    missing = missed(scene, full, cut)
     assert not cut.is_bound
-    assert 0.5 * missing < cut.remainder_energy < 2.0 * missing
+    assert 0.5 * missing.sum() < cut.remainder_energy.sum() < 2.0 * missing.sum()
     # the noise of 64 rays against the same bounce from sixteen times as many
     one = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=1)
     many = bounce_block(
         surface, direct, factorisations=parts, albedo=albedo, n_channels=1, n_rays=1024, seed=99,
         max_bounces=1, tolerance=0.0,
     )  # fmt: skip
-    error = sum(
-        float(scene.areas[start:stop] @ ((a - b) ** 2).sum(axis=(1, 2, 3)))
-        for (start, stop), a, b in zip(scene.part_ranges, one.added, many.added, strict=True)
-    )
+    error = missed(scene, one, many)
     # of 128 vertices a part, and stratified rays gain more than the square root
-    assert 0.5 * error < one.noise_energy < 2.0 * error
-    assert many.noise_energy < 0.2 * one.noise_energy
+    assert (0.4 * error < one.noise_energy).all()
+    assert (one.noise_energy < 2.5 * error).all()
+    assert (many.noise_energy < 0.2 * one.noise_energy).all()
 
 
 def test_a_closed_white_room_has_no_bound(diffuse):
@@ -144,8 +152,8 @@ def test_black_surfaces_and_open_ones_add_nothing(diffuse):
     direct = positive(alone.scene, [diffuse])
     for albedo in (Albedo.constant(0.0), Albedo.constant(0.9)):
         found = bounced(alone, direct, [diffuse], albedo)
-        assert found.bounce_energies == (0.0,)
-        assert (found.remainder_energy, found.noise_energy) == (0.0, 0.0)
+        assert found.bounce_energies.tolist() == [[0.0]]
+        assert (found.remainder_energy.tolist(), found.noise_energy.tolist()) == ([0.0], [0.0])
         assert not found.added[0].any()
 
 

@@ -113,21 +113,20 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         tolerance=args["tolerance"],
         progress=lambda done, total: context.progress(done, total, "bounces"),
     )
-    packed, rounding = [], 0.0
+    packed, rounding = [], []
     for (first, last), added in zip(scene.part_ranges, block.added, strict=True):
         rows = quantise_transfer(added.reshape(len(added), -1, added.shape[3]))
-        rounding += float(scene.areas[first:last] @ rows.squared_error)
+        rounding.append(float(scene.areas[first:last] @ rows.squared_error))
         packed.append(Packed(rows.values, rows.scale))
     path = context.scratch / "bounces.h5"
     write_bounces(path, packed)
     return {
         "bounces": context.store.put_file(path, move=True),
-        "direct": block.direct_energy,
-        "total": block.total_energy,
-        "energies": list(block.bounce_energies),
-        "left_out": block.remainder_energy,
+        "total": block.total_energy.tolist(),
+        "energies": block.bounce_energies.tolist(),
+        "left_out": None if block.remainder_energy is None else block.remainder_energy.tolist(),
         "is_bound": block.is_bound,
-        "noise": block.noise_energy,
+        "noise": block.noise_energy.tolist(),
         "rounding": rounding,
         # rays are the same in every block: each reports those it traced
         "counters": block.counters,
@@ -168,39 +167,47 @@ def _energy(rows: Any) -> Any:
 
 
 def errors(results: Results) -> dict[str, float]:
-    """Give the squared-error ratios of the bounces over the whole scene's signal.
+    """Give the squared-error ratios of the bounces over each part's signal, as it is stored.
 
     ``left out`` bounds what comes after the last bounce where all parts are diffuse, and estimates
-    it elsewhere; ``rays`` is what their number leaves to chance.
+    it elsewhere; ``rays`` is what their number leaves to chance in the first bounce.
     """
     blocks = results["bounces"]
-    total = sum(block["total"] for block in blocks)
-    if not total:
-        return {}
-    found = {
-        "rays": sum(block["noise"] for block in blocks) / total,
-        "16-bit": sum(block["rounding"] for block in blocks) / total,
-    }
-    if all(block["left_out"] is not None for block in blocks):
-        found["left out"] = sum(block["left_out"] for block in blocks) / total
+    found: dict[str, float] = {}
+    if not blocks:
+        return found
+    for index, part in enumerate(results["plan"][0]["plan"]["parts"]):
+        total = sum(block["total"][index] for block in blocks)
+        for label, name in (("rays", "noise"), ("16-bit", "rounding"), ("left out", "left_out")):
+            if total and all(block[name] is not None for block in blocks):
+                share = sum(block[name][index] for block in blocks) / total
+                found[f"{part['name']} {label}"] = share
     return found
 
 
 def account(results: Results, plan: dict[str, Any]) -> dict[str, Any] | None:
-    """Tell what each bounce added, over the energy of the whole; None where there was none."""
+    """Tell what each bounce added to each part, over its energy; None where there was none."""
     if plan["bounces"] is None:
         return None
     blocks = results["bounces"]
-    total = sum(block["total"] for block in blocks) or 1.0
     most = max((len(block["energies"]) for block in blocks), default=0)
+    added = {}
+    for index, part in enumerate(plan["parts"]):
+        total = sum(block["total"][index] for block in blocks) or 1.0
+        added[part["name"]] = [
+            sum(block["energies"][k][index] for block in blocks if k < len(block["energies"]))
+            / total
+            for k in range(most)
+        ]
     return {
         "bounces": most,
         "channels": plan["bounces"]["n_channels"],
-        "added": [
-            sum(block["energies"][k] for block in blocks if k < len(block["energies"])) / total
-            for k in range(most)
-        ],
-        "left_out": errors(results).get("left out"),
+        "added": added,
+        "left_out": {
+            name.removesuffix(" left out"): error
+            for name, error in errors(results).items()
+            if name.endswith(" left out")
+        },
         "left_out_is": "a bound" if all(b["is_bound"] for b in blocks) else "an estimate",
     }
 
@@ -209,14 +216,21 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
     """Say where bounces were cut before the tolerance, or nothing bounds what they leave."""
     if plan["bounces"] is None:
         return []
-    found, blocks = [], results["bounces"]
-    cut = [b for b in blocks if b["energies"]
-           and b["energies"][-1] > plan["bounces"]["tolerance"] * b["total"]]  # fmt: skip
-    if cut:
-        share = max(block["energies"][-1] / block["total"] for block in cut)
+    found, blocks, tolerance = [], results["bounces"], plan["bounces"]["tolerance"]
+    last = max(
+        (
+            energy / total
+            for block in blocks
+            if block["energies"]
+            for energy, total in zip(block["energies"][-1], block["total"], strict=True)
+            if total
+        ),
+        default=0.0,
+    )
+    if last > tolerance:
         found.append(
             f"bounces stopped at max_bounces = {plan['bounces']['max_bounces']}: the last of them "
-            f"added {share:.1e} of the energy, the tolerance is {plan['bounces']['tolerance']:.1e}"
+            f"added {last:.1e} of the energy, the tolerance is {tolerance:.1e}"
         )
     if any(block["left_out"] is None for block in blocks):
         found.append(

@@ -32,8 +32,8 @@ TAIL_SHARE = 1e-3
 class BouncedBlock:
     """What the bounces added to a block of coefficients.
 
-    Energies are squared radiance norms of these coefficients, area-weighted over all parts and
-    summed over channels: they add up over blocks.
+    Energies are squared radiance norms of these coefficients, one a part, area-weighted and summed
+    over channels: they add up over blocks.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class BouncedBlock:
     direct_energy, total_energy
         Of the direct transfer, counted once a channel, and of its sum with the bounces.
     bounce_energies
-        Of each bounce by itself.
+        Of each bounce by itself, a row a bounce.
     remainder_energy
         Of everything after the last bounce: an upper bound where ``is_bound``, under F as it was
         traced, else an estimate from the last two bounces.  None where bounces do not fade.
@@ -53,12 +53,12 @@ class BouncedBlock:
     """
 
     added: tuple[Float32[F32, "_ channels _ coeffs"], ...]
-    direct_energy: float
-    total_energy: float
-    bounce_energies: tuple[float, ...]
-    remainder_energy: float | None
+    direct_energy: Float64[F64, " parts"]
+    total_energy: Float64[F64, " parts"]
+    bounce_energies: Float64[F64, "bounces parts"]
+    remainder_energy: Float64[F64, " parts"] | None
     is_bound: bool
-    noise_energy: float
+    noise_energy: Float64[F64, " parts"]
     counters: dict[str, int]
 
 
@@ -89,7 +89,7 @@ def bounce_block(
         At most so many, at least one.
     tolerance
         Squared-error ratio: bounces stop after the first whose energy, over that of the sum, is
-        not above it.  Where every block of coefficients keeps it, so does their whole.
+        not above it on any part.  Where every block of coefficients keeps it, so does their whole.
     progress
         Called with bounces done and at most to do.
 
@@ -133,8 +133,8 @@ def bounce_block(
     totals = [one.copy() for one in sent]
     direct_energy = total = _energy(scene, sent)
     noise = _noise(scene, sent, gather_to, seed)
-    energies: list[float] = []
-    while len(energies) < max_bounces and total > 0.0:
+    energies: list[F64] = []
+    while len(energies) < max_bounces and total.any():
         sent = [gather.apply(sent) for gather in gathers]
         for whole, one in zip(totals, sent, strict=True):
             whole += one
@@ -142,7 +142,7 @@ def bounce_block(
         total = _energy(scene, totals)
         if progress is not None:
             progress(len(energies), max_bounces)
-        if energies[-1] <= tolerance * total:
+        if (energies[-1] <= tolerance * total).all():
             break
     is_bound = all(own.is_constant_phi for own in factorisations)
     remainder = (
@@ -154,7 +154,7 @@ def bounce_block(
         added=tuple(totals),
         direct_energy=direct_energy,
         total_energy=total,
-        bounce_energies=tuple(energies),
+        bounce_energies=np.reshape(energies, (-1, len(gathers))),
         remainder_energy=remainder,
         is_bound=is_bound,
         noise_energy=noise,
@@ -165,10 +165,14 @@ def bounce_block(
     )
 
 
-def _energy(scene: Scene, transfers: Sequence[Float32[F32, "_ channels _ coeffs"]]) -> float:
-    return sum(
-        float(scene.areas[start:stop] @ (_norms(one) ** 2).sum(axis=1))
-        for (start, stop), one in zip(scene.part_ranges, transfers, strict=True)
+def _energy(
+    scene: Scene, transfers: Sequence[Float32[F32, "_ channels _ coeffs"]]
+) -> Float64[F64, " parts"]:
+    return np.array(
+        [
+            float(scene.areas[start:stop] @ (_norms(one) ** 2).sum(axis=1))
+            for (start, stop), one in zip(scene.part_ranges, transfers, strict=True)
+        ]
     )
 
 
@@ -178,13 +182,13 @@ def _norms(one: Float32[F32, "verts channels terms coeffs"]) -> Float64[F64, "ve
     return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
 
 
-def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]) -> float | None:
+def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]) -> F64 | None:
     """Bound the energy of everything after the last bounce; None where the series does not fade."""
     term = [_norms(one).astype(np.float32)[:, :, None, None] for one in last]
     bound = [np.zeros_like(one) for one in term]
     before = largest = max(float(one.max(initial=0.0)) for one in term)
     if largest == 0.0:
-        return 0.0
+        return np.zeros(len(gathers))
     for _ in range(MAX_POWERS):
         term = [gather.apply(term) for gather in gathers]
         for whole, one in zip(bound, term, strict=True):
@@ -199,20 +203,20 @@ def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]
     return None
 
 
-def _geometric(energies: Sequence[float]) -> float | None:
-    """Continue the last two energies as the squares of a geometric series."""
-    if energies[-1] == 0.0:
-        return 0.0
-    before, last = energies[-2:]
-    ratio = float(np.sqrt(last / before)) if before > 0.0 else 1.0
-    return last * (ratio / (1.0 - ratio)) ** 2 if ratio < 1.0 else None
+def _geometric(energies: Sequence[Float64[F64, " parts"]]) -> F64 | None:
+    """Continue the whole scene's last two energies as the squares of a geometric series."""
+    last = energies[-1]
+    if not last.any():
+        return np.zeros_like(last)
+    ratio = float(np.sqrt(last.sum() / max(energies[-2].sum(), last.sum())))
+    return np.asarray(last * (ratio / (1.0 - ratio)) ** 2) if ratio < 1.0 else None
 
 
 def _noise(
     scene: Scene, sent: Sequence[F32], gather_to: Callable[..., BounceGather], seed: int
-) -> float:
+) -> Float64[F64, " parts"]:
     """Estimate the squared error of one bounce: half the squared difference of two draws."""
-    total = 0.0
+    total = np.zeros(len(scene.part_ranges))
     rng = np.random.default_rng([seed, 1])
     for part, (start, stop) in enumerate(scene.part_ranges):
         areas = np.maximum(scene.areas[start:stop], 0.0)
@@ -223,5 +227,5 @@ def _noise(
         )
         first, second = (gather_to(part, chosen, seed=own).apply(sent) for own in (seed, seed + 1))
         difference = _norms(first - second) ** 2
-        total += 0.5 * float(areas.sum()) * float(difference.sum(axis=1).mean())
+        total[part] = 0.5 * float(areas.sum()) * float(difference.sum(axis=1).mean())
     return total
