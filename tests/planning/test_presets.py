@@ -1,5 +1,6 @@
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
@@ -95,3 +96,37 @@ def test_ranks_and_clusters_are_cut_to_what_the_data_holds():
     cut = resolve_compression(settings, "medium", n_verts=7, n_terms=3, n_coeffs=12)
     assert cut.n_clusters == 7
     assert cut.ranks == (3, 12, 24)
+
+
+def test_a_sharp_brdf_gets_the_view_columns_that_it_needs():
+    """The chosen rank leaves no more than asked; one less would."""
+    spectrum = 0.9 ** np.arange(100)
+    energy = spectrum**2
+
+    def left(rank):
+        return energy[rank:].sum() / energy.sum()
+
+    found = {}
+    for quality in ("draft", "medium"):
+        compression = resolve_compression(
+            CompressSettings(), quality, n_verts=1000, n_terms=60, n_coeffs=162,
+            singular_values=spectrum,
+        )  # fmt: skip
+        found[quality] = compression.ranks[0]
+        asked = 2.0 * LADDER[quality].bake["term_energy_lost"]
+        assert left(found[quality]) <= asked < left(found[quality] - 1)
+    assert LADDER["draft"].ranks[0] < found["draft"] < found["medium"]
+    # what is asked for is taken as it is, a smooth BRDF keeps the ladder's, memory bounds the rest
+    given = CompressSettings(ranks=(3, 8, 8))
+    common = {"n_terms": 60, "n_coeffs": 162}
+    assert resolve_compression(
+        given, "draft", n_verts=1000, singular_values=spectrum, **common
+    ).ranks == (3, 8, 8)
+    smooth = resolve_compression(
+        CompressSettings(), "draft", n_verts=1000, singular_values=0.1 ** np.arange(9.0), **common
+    )
+    assert smooth.ranks[0] == LADDER["draft"].ranks[0]
+    large = resolve_compression(
+        CompressSettings(), "draft", n_verts=300_000, singular_values=spectrum, **common
+    )
+    assert large.ranks[0] == max(LADDER["draft"].ranks[0], (1 << 30) // (4 * 162 * 300_000))

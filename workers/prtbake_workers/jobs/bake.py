@@ -163,6 +163,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         settings,
         args["quality"],
         chunk_vertices=transfer_chunk_vertices,
+        spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[*notes, *repairs(report), *report.get("warnings", [])],
     )
     bounces = None

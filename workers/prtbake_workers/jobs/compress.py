@@ -111,6 +111,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                     n_terms=part.n_terms,
                     n_coeffs=len(header.centres),
                     n_channels=part.n_channels,
+                    singular_values=spectrum_of(part),
                 )
             ),
         }
@@ -119,6 +120,12 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     effects = header.provenance.get("effects", [])
     plan = {"parts": parts, "effects": effects, "bounces": None, "notes": [], "seconds": {}}
     return {"plan": plan}
+
+
+def spectrum_of(part: TransferPart) -> F64 | None:
+    """Give the singular values of a part's BRDF; None where the file holds no factorisation."""
+    values = (part.factorisation or {}).get("singular_values")
+    return None if values is None else np.asarray(values, np.float64)
 
 
 def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:

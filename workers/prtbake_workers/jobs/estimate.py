@@ -21,6 +21,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs.bake import plan_scene
+from prtbake_workers.jobs.compress import spectrum_of
 from prtbake_workers.jobs.inputs import load_environment
 from prtbake_workers.jobs.validate import check_kinship
 from prtbake_workers.planning.cost import (
@@ -148,6 +149,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
             n_terms=part.n_terms,
             n_coeffs=len(header.centres),
             n_channels=part.n_channels,
+            singular_values=spectrum_of(part),
         )
         plan["parts"].append({"name": part.name, "compression": asdict(compression)})
         costs.append(

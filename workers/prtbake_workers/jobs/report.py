@@ -111,7 +111,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for name, value in tile["counters"].items():
             counters[name] = counters.get(name, 0) + value
     counters |= args["bounce_counters"]
-    notes = list(plan["notes"])
+    notes = [*plan["notes"], *large_errors(args["stages"])]
     for part in args["compressed"]:
         notes += part["notes"]
     notes += args["bounce_notes"]
@@ -155,6 +155,27 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "json": context.store.put_bytes(json.dumps(report, indent=1).encode()),
         "html": context.store.put_bytes(page.encode()),
     }
+
+
+LARGE_ERROR = 0.1
+"""Squared-error ratio of a stage's own from which the report says so: a third of the radiance."""
+
+REMEDIES = {
+    "bake": "SRBFs leave {:.0%} of its transport: more n_centres, or a higher quality",
+    "compress": "clusters and ranks leave {:.0%} of its transfer: more n_clusters, higher ranks, "
+    "or a higher quality",
+}
+
+
+def large_errors(stages: list[dict[str, Any]]) -> list[str]:
+    """Point to parts that a stage lost much of: a brighter part may hide it in the pictures."""
+    return [
+        f"{name}: {REMEDIES[stage['name']].format(error)}"
+        for stage in stages
+        if stage["name"] in REMEDIES
+        for name, error in stage["errors"].items()
+        if error > LARGE_ERROR and " " not in name
+    ]
 
 
 def artefacts(results: Results) -> list[ArtefactFile]:

@@ -1,6 +1,6 @@
 """The plan of a job: parts, effects, tiles, and what they are expected to cost."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from math import ceil, log
@@ -8,6 +8,7 @@ from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
@@ -172,11 +173,13 @@ def make_plan(
     quality: Quality,
     *,
     chunk_vertices: Callable[[int, int], int],
+    spectra: Sequence[Float64[F64, " _"]],
     notes: list[str],
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
-    ``chunk_vertices(n_terms, n_coeffs)`` gives the vertices that tiles must hold multiples of.
+    ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
+    ``spectra`` the singular values of each part's BRDF.
     """
     bounces = plan_bounces(scene, part_terms, effects, settings.bake)
     n_channels = 1 if bounces is None else bounces.n_channels
@@ -191,6 +194,7 @@ def make_plan(
             n_terms=n_terms,
             n_coeffs=settings.bake.n_centres,
             n_channels=n_channels,
+            singular_values=spectra[index],
         )
         size = tile_vertices(
             settings.bake,

@@ -22,6 +22,8 @@ from prtbake_storage.contract.settings import (
     ValidateSettings,
 )
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.planning.view_rank import view_rank
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,10 @@ class StageSettings:
             name: getattr(self, name).model_dump(mode="json")
             for name in ("bake", "compress", "fit_light", "render", "validation")
         }
+
+
+VIEW_LOSS = 2.0
+"""Energy that view columns may leave of a BRDF, over what its terms may."""
 
 
 @dataclass(frozen=True)
@@ -200,12 +206,14 @@ def resolve_compression(
     n_terms: int,
     n_coeffs: int,
     n_channels: int = 1,
+    singular_values: Float64[F64, " values"] | None = None,
 ) -> PartCompression:
     """Choose method, clusters and ranks of a part from its size, unless the request gives them.
 
     One term means clustered PCA, more mean clustered tensor approximation ([Tsai2006] 5.2).
     Ranks and cluster counts are cut to what the data can hold.  Three colour channels share weights
-    and clusters; the view rank is that of each.
+    and clusters; the view rank is that of each.  Given the BRDF's singular values, the view rank
+    grows beyond the ladder's until it leaves `VIEW_LOSS` times what the terms may leave.
 
     Raises
     ------
@@ -221,6 +229,14 @@ def resolve_compression(
         )
     n_clusters = settings.n_clusters or max(1, round(n_verts / step.verts_per_cluster))
     view, light, vert = settings.ranks or step.ranks
+    if settings.ranks is None and singular_values is not None:
+        view = view_rank(
+            view,
+            singular_values,
+            VIEW_LOSS * step.bake["term_energy_lost"],
+            vertex_bytes=4 * n_channels * n_coeffs,
+            n_verts=n_verts,
+        )
     return PartCompression(
         method=method,
         n_clusters=min(n_clusters, n_verts),
