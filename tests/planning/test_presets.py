@@ -115,6 +115,9 @@ def test_a_sharp_brdf_gets_the_view_columns_that_it_needs():
         found[quality] = compression.ranks[0]
         asked = 2.0 * LADDER[quality].bake["term_energy_lost"]
         assert left(found[quality]) <= asked < left(found[quality] - 1)
+        growth = (found[quality] / LADDER[quality].ranks[0]) ** 0.5
+        assert compression.ranks[1] == min(162, round(LADDER[quality].ranks[1] * growth))
+        assert compression.ranks[2] == round(LADDER[quality].ranks[2] * growth)
     assert LADDER["draft"].ranks[0] < found["draft"] < found["medium"]
     # what is asked for is taken as it is, a smooth BRDF keeps the ladder's, memory bounds the rest
     given = CompressSettings(ranks=(3, 8, 8))

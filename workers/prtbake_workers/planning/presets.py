@@ -10,6 +10,7 @@ scene; that of interpolating between vertices, which no setting here changes, of
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from prtbake_storage.contract.settings import (
@@ -213,7 +214,8 @@ def resolve_compression(
     One term means clustered PCA, more mean clustered tensor approximation ([Tsai2006] 5.2).
     Ranks and cluster counts are cut to what the data can hold.  Three colour channels share weights
     and clusters; the view rank is that of each.  Given the BRDF's singular values, the view rank
-    grows beyond the ladder's until it leaves `VIEW_LOSS` times what the terms may leave.
+    grows beyond the ladder's until it leaves `VIEW_LOSS` times what the terms may leave, and the
+    other two by the square root of as much.
 
     Raises
     ------
@@ -237,6 +239,9 @@ def resolve_compression(
             vertex_bytes=4 * n_channels * n_coeffs,
             n_verts=n_verts,
         )
+        # what is sharp in view is sharp in light and differs between vertices too
+        growth = float(np.sqrt(view / step.ranks[0]))
+        light, vert = round(light * growth), round(vert * growth)
     return PartCompression(
         method=method,
         n_clusters=min(n_clusters, n_verts),
