@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from support.deployment import Installation, installed, without_settings
+from prtbake_storage.testing.postgres import fresh_database
+from support.deployment import EAGER, Installation, installed, without_settings
 from support.main_job import Finished, main_request
 
 
@@ -29,3 +30,22 @@ def undisturbed(local: Installation) -> Finished:
     job = local.client.submit(main_request(local))
     events = list(local.client.events(job.id))
     return Finished(local.client.job(job.id), events)
+
+
+@pytest.fixture(
+    scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
+)
+def installation(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Installation]:
+    """A service and two workers; the URL alone tells the databases apart."""
+    folder = tmp_path_factory.mktemp(request.param)
+    if request.param == "sqlite":
+        with installed(folder, settings=EAGER) as installation:
+            yield installation
+        return
+    with (
+        fresh_database(request.getfixturevalue("postgres_url")) as url,
+        installed(folder, database_url=url, settings=EAGER) as installation,
+    ):
+        yield installation

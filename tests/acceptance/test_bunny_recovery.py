@@ -3,14 +3,12 @@
 Three asset jobs of minutes each: ``make bunny PRTBAKE_DATA=...`` runs them, nothing else does.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from prtbake_storage.contract.jobs import Job
-from prtbake_storage.testing.postgres import fresh_database
 from support.deployment import EAGER, Installation, installed
 from support.disturbance import leaves_nothing_when_canceled, survives_a_kill
 from support.main_job import GLOSSY
@@ -29,25 +27,6 @@ def undisturbed(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Job
     with installed(tmp_path_factory.mktemp("undisturbed"), settings=EAGER) as installation:
         job_id = installation.client.submit(bunny_request(installation, data_dir)).id
         return installation.client.wait(job_id, timeout_s=PATIENCE_S)
-
-
-@pytest.fixture(
-    scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
-)
-def installation(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Installation]:
-    """A service and two workers; the URL alone tells the databases apart."""
-    folder = tmp_path_factory.mktemp(request.param)
-    if request.param == "sqlite":
-        with installed(folder, settings=EAGER) as installation:
-            yield installation
-        return
-    with (
-        fresh_database(request.getfixturevalue("postgres_url")) as url,
-        installed(folder, database_url=url, settings=EAGER) as installation,
-    ):
-        yield installation
 
 
 def test_the_bunny_survives_a_kill(

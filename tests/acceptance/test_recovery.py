@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import uuid
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -15,12 +14,9 @@ from prtbake import Client, ServiceUnreachable
 from prtbake.config import read_key
 from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.records import Events, NewJob
-from prtbake_storage.testing.postgres import fresh_database
 from support.deployment import (
-    EAGER,
     Installation,
     free_port,
-    installed,
     until,
 )
 from support.disturbance import leaves_nothing_when_canceled, survives_a_kill
@@ -37,25 +33,6 @@ from prtbake_storage.queue.engine import JobQueue
 JobQueue.submit = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
 main()
 """
-
-
-@pytest.fixture(
-    scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
-)
-def installation(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Installation]:
-    """A service and two workers; the URL alone tells the databases apart."""
-    folder = tmp_path_factory.mktemp(request.param)
-    if request.param == "sqlite":
-        with installed(folder, settings=EAGER) as installation:
-            yield installation
-        return
-    with (
-        fresh_database(request.getfixturevalue("postgres_url")) as url,
-        installed(folder, database_url=url, settings=EAGER) as installation,
-    ):
-        yield installation
 
 
 def test_kill_9_in_the_middle_of_the_bake(

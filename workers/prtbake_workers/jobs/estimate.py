@@ -20,9 +20,9 @@ from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
-from prtbake_workers.jobs.bake import plan_scene
 from prtbake_workers.jobs.compress import spectrum_of
 from prtbake_workers.jobs.inputs import load_environment
+from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.validate import check_kinship
 from prtbake_workers.planning.cost import (
     compress_memory_bytes,
@@ -93,19 +93,7 @@ def _scene(
 ) -> Estimate:
     """Plan the scene: also gives the errors that are known before the first ray."""
     settings, quality = _settings(request)
-    planned, plan = plan_scene(
-        {
-            "mesh": given["mesh"]["canonical"],
-            "brdf": given["brdf"]["spec"],
-            "albedo_texture": given.get("albedo_texture"),
-            "receiver": body.get("receiver"),
-            "effects": body.get("effects", {}),
-            "settings": settings.to_dict(),
-            "quality": quality,
-            "seed": request.seed,
-        },
-        store,
-    )
+    planned, plan = plan_scene(arguments(body, given, settings, quality), store)
     alone = isinstance(request, BakeRequest)
     stages = tuple(name for name in plan.seconds if name in BAKE_STAGES or not alone)
     seconds = {name: plan.seconds[name] for name in stages}

@@ -1,0 +1,193 @@
+"""Task ``plan`` of a bake: inputs loaded, materials factorised, effects decided, tiles cut."""
+
+from dataclasses import asdict
+from typing import Any
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.contract.brdf import LambertSpec
+from prtbake_storage.contract.settings import Effects, Quality, ReceiverPlane
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.schema import transfer_chunk_vertices
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Task
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
+from prtbake_workers.jobs.scene_file import (
+    PlannedScene,
+    reflection_of,
+    write_projection,
+    write_scene,
+)
+from prtbake_workers.planning.effects import decide_effects
+from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
+from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.transport.directions import cube_directions
+
+_MODULE = "prtbake_workers.jobs.plan"
+MEMORY_BYTES = 12 << 30
+CPU_SECONDS = 900
+
+
+def arguments(
+    request: dict[str, Any], context: dict[str, Any], settings: StageSettings, quality: Quality
+) -> dict[str, Any]:
+    """Collect all that the plan of a request depends on."""
+    return {
+        "mesh": context["mesh"]["canonical"],
+        "brdf": context["brdf"]["spec"],
+        "albedo_texture": context.get("albedo_texture"),
+        "receiver": request.get("receiver"),
+        "effects": request.get("effects", {}),
+        "settings": settings.to_dict(),
+        "quality": quality,
+        "seed": request.get("seed", 0),
+    }
+
+
+def task(args: dict[str, Any]) -> Task:
+    """Make the task; its limits are for the albedo texture, which came from outside."""
+    return Task(
+        f"{_MODULE}:plan",
+        args,
+        label="plan",
+        memory_bytes=MEMORY_BYTES,
+        cpu_seconds=CPU_SECONDS,
+    )
+
+
+def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
+    """Load the inputs, factorise the materials, decide effects, parts and tiles."""
+    settings = StageSettings.from_dict(args["settings"])
+    check_bandwidth(settings.bake)
+    mesh, report = load_mesh(store, args["mesh"])
+    meshes, specs, names = [mesh], [args["brdf"]], ["object"]
+    if args["receiver"] is not None:
+        receiver = ReceiverPlane.model_validate(args["receiver"])
+        meshes.append(
+            receiver_plane(
+                mesh.bounds,
+                resolution=receiver.resolution,
+                extent=receiver.extent,
+                gap=receiver.gap,
+            )
+        )
+        material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
+        specs.append(material.model_dump(mode="json"))
+        names.append("receiver")
+    texture = None
+    if args["albedo_texture"] is not None:
+        _check_texture(specs[0], mesh.uv is not None)
+        texture = load_texture(store, args["albedo_texture"])
+    scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
+    requested = Effects.model_validate(args["effects"])
+    n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
+    factorisations = tuple(
+        factorise(
+            load_brdf(store, spec),
+            n_terms=n_terms,
+            energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
+        )
+        for spec in specs
+    )
+    part_terms = [factorisation.n_terms for factorisation in factorisations]
+    effects = decide_effects(
+        meshes,
+        scene,
+        Accelerator(scene.positions, scene.faces),
+        factorisations=factorisations,
+        albedo=reflection_of(scene, factorisations, texture)[1],
+        bake=settings.bake,
+        watertight=bool(report.get("watertight", False)),
+        requested=requested,
+        seed=args["seed"],
+    )
+    notes = [factorisation.note for factorisation in factorisations if factorisation.note]
+    plan = make_plan(
+        scene,
+        names,
+        part_terms,
+        effects,
+        settings,
+        args["quality"],
+        chunk_vertices=transfer_chunk_vertices,
+        spectra=[factorisation.singular_values for factorisation in factorisations],
+        notes=[*notes, *repairs(report), *report.get("warnings", [])],
+    )
+    bounces = None
+    if plan.bounces is not None:
+        bounces = {name: value for name, value in asdict(plan.bounces).items() if name != "blocks"}
+    header = {
+        "bake": settings.bake.model_dump(mode="json"),
+        "bounces": bounces,
+        "parts": [
+            {"name": name, "material": spec, "occluders": list(part.occluders)}
+            for name, spec, part in zip(names, specs, plan.parts, strict=True)
+        ],
+        "provenance": {
+            "inputs": {name: args[name] for name in ("mesh", "brdf", "albedo_texture", "receiver")},
+            "bake": settings.bake.model_dump(mode="json"),
+            "quality": args["quality"],
+            "tiles": [[list(tile) for tile in part.tiles] for part in plan.parts],
+            "seed": args["seed"],
+            "versions": versions(),
+            "effects": [decision.to_dict() for decision in effects],
+            "interreflection": bounces,
+            "occluders": [list(part.occluders) for part in plan.parts],
+        },
+    }
+    return PlannedScene(scene, factorisations, texture, header), plan
+
+
+REPAIRS = {
+    "unreferenced_vertices": "vertices that no face uses were dropped",
+    "duplicate_vertices": "duplicate vertices were merged",
+    "degenerate_faces": "faces without area were dropped",
+    "duplicate_faces": "duplicate faces were dropped",
+    "flipped_faces": "faces were turned over",
+}
+"""What no warning of the report says; its warnings stand beside these."""
+
+
+def repairs(report: dict[str, Any]) -> list[str]:
+    """Say what parsing had to mend in the mesh."""
+    return [f"mesh: {report[name]} {what}" for name, what in REPAIRS.items() if report.get(name)]
+
+
+def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
+    if spec["model"] != "lambert":
+        raise SettingsError(
+            "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
+            pointer="/albedo_texture",
+        )
+    if not has_uv:
+        raise SettingsError(
+            "an albedo texture needs texture coordinates, which the mesh lacks",
+            pointer="/albedo_texture",
+        )
+
+
+def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: write the planned scene."""
+    planned, plan = plan_scene(args, context.store)
+    # a basis that cannot be solved fails here, before the first ray
+    basis = planned.basis()
+    directions = cube_directions(planned.header["bake"]["cube_resolution"])
+    projection = basis.projection(directions.directions, directions.weights)
+    projected = write_projection(context.scratch / "projection.h5", projection, basis.whitened)
+    path = write_scene(context.scratch / "scene.h5", planned)
+    return {
+        "scene": context.store.put_file(path, move=True),
+        "projection": context.store.put_file(projected, move=True),
+        "plan": plan.to_dict(),
+        "errors": {
+            part["name"]: factorisation.energy_lost
+            for part, factorisation in zip(
+                planned.header["parts"], planned.factorisations, strict=True
+            )
+        },
+        "condition": basis.condition,
+        "settings": args["settings"],
+    }
