@@ -90,7 +90,7 @@ def test_a_brdf_is_inline_json_or_a_file_to_register(
     canonical = service.backend.blobs.put_bytes(b"parsed")
     result = {"canonical": canonical, "understood": {"spec": {"model": "lambert"}}}
     spec = tmp_path / "spec.json"
-    spec.write_text('\n {"model": "ward", "alpha_x": 0.1}')
+    spec.write_text('\n {"model": "ward", "alpha_x": 0.1, "alpha_y": 0.1}')
     measured = tmp_path / "paint.binary"
     measured.write_bytes(b"\x5a\0\0\0 and so on")
 
@@ -168,7 +168,7 @@ def test_the_exit_code_tells_the_state(
     assert result.exit_code == code
     assert state in result.stdout
     if state is JobState.failed:
-        assert "too [few] lobes (at /settings)" in result.stdout
+        assert "too [few] lobes (at /settings) [bad]" in result.stdout
     as_json = run(command, submitted, "-o", "json")
     assert json.loads(as_json.stdout)["state"] == state
     assert as_json.exit_code == code

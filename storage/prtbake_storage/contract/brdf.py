@@ -153,6 +153,24 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
 
 
+def check_isotropic(spec: AnyBrdfSpec) -> None:
+    """Refuse what no job of this version bakes, with a `ValueError` that names the fields."""
+    match spec:
+        case WardSpec() if spec.alpha_x != spec.alpha_y:
+            fields = f"alpha_x = {spec.alpha_x:g} and alpha_y = {spec.alpha_y:g}"
+        case LafortuneSpec():
+            found = (lobe for lobe in spec.lobes if lobe.cx != lobe.cy)
+            if (lobe := next(found, None)) is None:
+                return
+            fields = f"cx = {lobe.cx:g} and cy = {lobe.cy:g}"
+        case _:
+            return
+    raise ValueError(
+        f"{fields} make {spec.model} anisotropic: transfer of anisotropic BRDFs is not in this "
+        "version"
+    )
+
+
 MeasuredFormat = Literal["merl", "rgl", "scattered"]
 
 
@@ -174,5 +192,5 @@ __all__ = [
     "AbcSpec", "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe",
     "LafortuneSpec", "LambertSpec", "MeasuredFormat", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec",
     "PhongSpec", "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter",
-    "stored_brdf_adapter",
+    "check_isotropic", "stored_brdf_adapter",
 ]  # fmt: skip

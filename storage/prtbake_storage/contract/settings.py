@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Positive, Vec3, Wire
-from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
+from prtbake_storage.contract.brdf import BrdfSpec, Reflectance, check_isotropic
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
@@ -40,6 +40,13 @@ class ReceiverPlane(Wire):
     gap: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     albedo: Reflectance = 0.7
     brdf: BrdfSpec | None = None
+
+    @field_validator("brdf")
+    @classmethod
+    def _isotropic(cls, brdf: BrdfSpec | None) -> BrdfSpec | None:
+        if brdf is not None:
+            check_isotropic(brdf)
+        return brdf
 
 
 class BakeSettings(Wire):
