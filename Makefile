@@ -36,7 +36,7 @@ gl: ## Install the two system packages that GL previews need, or name them
 demo: setup gl ## Run the main job on the teapot: asset, preview, validation and report in demo-output/
 	$(BIN)/prtbake demo --to demo-output
 
-ladder: setup gl ## What accuracy costs: draft, medium and high beside each other
+ladder: setup gl ## What accuracy costs: draft, medium and high beside each other, in demo-output/
 	$(BIN)/prtbake demo --ladder --to demo-output
 
 test: setup gl ## All tests that need nothing but the repository

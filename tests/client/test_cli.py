@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import typer
@@ -21,15 +21,20 @@ from prtbake.cli.requests import receiver_value
 from prtbake_service.testing import LiveService
 from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
+from prtbake_storage.contract.resources import BuiltinEnvironment, BuiltinMesh
 from prtbake_storage.records import Stop
 
 Run = Callable[..., Result]
 RESULT = {
-    "budget": {"lines": [{"name": "basis", "error": 0.02}], "total": 0.015},
+    "budget": {
+        "lines": [{"name": "basis", "error": 0.02, "below_noise": True}],
+        "total": 0.015,
+    },
     "errors": {"compress": {"object": 0.004}},
     "bytes": {"asset.h5": 2048},
     "seconds": {"bake": 61.0},
     "effects": [{"effect": "self_shadowing", "taken": True, "reason": "not [convex]"}],
+    "notes": ["K is cut to [8] terms"],
 }
 
 
@@ -90,7 +95,7 @@ def test_a_brdf_is_inline_json_or_a_file_to_register(
     canonical = service.backend.blobs.put_bytes(b"parsed")
     result = {"canonical": canonical, "understood": {"spec": {"model": "lambert"}}}
     spec = tmp_path / "spec.json"
-    spec.write_text('\n {"model": "ward", "alpha_x": 0.1}')
+    spec.write_text('\n {"model": "ward", "alpha_x": 0.1, "alpha_y": 0.1}')
     measured = tmp_path / "paint.binary"
     measured.write_bytes(b"\x5a\0\0\0 and so on")
 
@@ -139,8 +144,20 @@ def test_submit_and_wait(run: Run, service: LiveService, environment: str, tmp_p
     # progress is for people and stays out of what is piped
     assert "100% succeeded" in result.stderr
     assert "100%" not in result.stdout
-    for text in ("1.500%", "2.000%", "0.400%", "1 min 1 s", "2.0 KiB", "not [convex]"):
+    told = ("1.500%", "2.000% *", "0.400%", "1 min 1 s", "2.0 KiB", "not [convex]")
+    for text in (
+        *told,
+        "* below the noise",
+        "relative L2",
+        "squared error",
+        "K is cut to [8] terms",
+    ):
         assert text in result.stdout
+    assert "K is cut to [8] terms" in run("show", queued_id(service)).stdout
+
+
+def queued_id(service: LiveService) -> str:
+    return str(service.backend.jobs.page(label="waited").items[0].id)
 
 
 @pytest.mark.parametrize("command", ["wait", "watch"])
@@ -168,7 +185,7 @@ def test_the_exit_code_tells_the_state(
     assert result.exit_code == code
     assert state in result.stdout
     if state is JobState.failed:
-        assert "too [few] lobes (at /settings)" in result.stdout
+        assert "too [few] lobes (at /settings) [bad]" in result.stdout
     as_json = run(command, submitted, "-o", "json")
     assert json.loads(as_json.stdout)["state"] == state
     assert as_json.exit_code == code
@@ -176,6 +193,35 @@ def test_the_exit_code_tells_the_state(
 
 def test_waiting_has_an_end(run: Run, submitted: str) -> None:
     assert run("wait", submitted, "--timeout", 0.1).exit_code == Exit.timeout
+
+
+def test_no_star_no_legend(run: Run, service: LiveService, submitted: str) -> None:
+    lines = [{"name": "basis", "error": 0.02, "below_noise": False}]
+    service.succeed(submitted, RESULT | {"budget": {"lines": lines}, "notes": []})
+    told = run("show", submitted).stdout
+    assert "2.000%" in told
+    assert "*" not in told
+    assert "notes" not in told
+
+
+def test_cancel_says_what_had_ended(run: Run, service: LiveService, submitted: str) -> None:
+    first = run("cancel", submitted)
+    assert "had ended" not in first.stderr
+    again = run("cancel", submitted, "-o", "json")
+    assert again.exit_code == 0
+    assert f"{submitted} had ended" in again.stderr
+    assert json.loads(again.stdout)["state"] == "canceled"
+
+
+def test_help_keeps_its_syntax_at_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for kind in ("asset", "bake", "fit-light", "validate"):
+        told = CliRunner().invoke(app, ["submit", kind, "--help"]).output
+        assert "…" not in told
+        assert "words on the command" in told
+    told = CliRunner().invoke(app, ["submit", "asset", "--help"]).output
+    for word in ("builtin:teapot:12", "builtin:sun_sky,width=256", "lambert,albedo=0.5:0.3:0.2"):
+        assert word in told
 
 
 def test_ls(run: Run, submitted: str) -> None:
@@ -368,3 +414,10 @@ def test_a_url_given_by_hand_beats_that_of_the_data_directory(tmp_path):
     )
     assert result.exit_code == Exit.unreachable
     assert "127.0.0.1:2" in result.output
+
+
+def test_the_builtins_of_the_pages_exist() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "client.md").read_text()
+    for model in (BuiltinMesh, BuiltinEnvironment):
+        for name in get_args(model.model_fields["name"].annotation):
+            assert name in page

@@ -1,5 +1,6 @@
 """What the command line refuses, or is refused: in which words, with which exit code."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -106,6 +107,79 @@ def test_an_unknown_setting_of_a_stage_brings_the_known_ones(
     assert result.exit_code == Exit.usage
     told = " ".join(result.stderr.replace("│", " ").split())
     assert all(word in told for word in said), told
+
+
+SCENE = ("--mesh", "builtin:teapot:3", "--environment", "builtin:sun_sky", "--brdf", "lambert")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("submit", "asset", *SCENE, "--quality", "meduim"), "'meduim' is none of draft, low"),
+        (("demo", "--quality", "meduim"), "'meduim' is none of draft, low"),
+        (("submit", "asset", *SCENE, "--mesh-format", "fbx"), "'fbx' is none of auto, obj"),
+        (("submit", "asset", *SCENE, "--layout", "dome"), "'dome' is none of auto, lat_long"),
+        (("wait", "nothing", "--timeout", "-3"), "'--timeout'"),
+        (("watch", "nothing", "--timeout", "-3"), "'--timeout'"),
+        ((*BAKE, "--brdf", "lambert,albedo=2"), "albedo: Input should be less than or equal to 1"),
+        ((*BAKE, "--brdf", "lambert,albedo=2:0:0"), "albedo: Input should be less than or equal"),
+        ((*BAKE, "--brdf", "lambert,albedo=red"), "albedo: Input should be a valid number"),
+        ((*BAKE, "--brdf", '{"model": "sgd"}'), "rho_d: Field required"),
+        ((*BAKE, "--brdf", '{"albedo": 1}'), "model: Unable"),
+    ],
+)
+def test_a_wrong_value_is_refused_before_anything_is_sent(
+    run: Run, arguments: tuple[str, ...], said: str
+) -> None:
+    result = run(*arguments)
+    assert result.exit_code == Exit.usage
+    told = " ".join(result.stderr.replace("│", " ").split())
+    assert said in told
+    # no trace of how the models are written
+    assert not any(word in told for word in ("constrained", "tuple", "lambert/", "function-"))
+
+
+def test_a_refused_file_is_named_with_the_option_that_mends_it(
+    run: Run, service: LiveService, tmp_path: Path
+) -> None:
+    path = tmp_path / "readme.obj"
+    path.write_text("# prtbake\n")
+    refusal = JobError(kind="input", code="invalid-mesh", detail="none of OBJ", pointer="/format")
+    for words, option in (
+        (("submit", "bake", "--brdf", "lambert", "--mesh"), "--mesh-format"),
+        (("register", "mesh"), "--format"),
+    ):
+        path.write_text(path.read_text() + "# other bytes\n")
+        service.answer_next("register", lambda job_id: service.fail(job_id, refusal))
+        result = run(*words, path)
+        assert result.exit_code == Exit.refused
+        assert f"file: {path}; the option is {option}" in result.stderr
+
+
+def test_a_refused_file_without_an_option_is_only_named(
+    run: Run, service: LiveService, tmp_path: Path
+) -> None:
+    path = tmp_path / "odd.hdr"
+    path.write_bytes(b"odd")
+    refusal = JobError(kind="input", code="invalid-environment", detail="ends early")
+    service.answer_next("register", lambda job_id: service.fail(job_id, refusal))
+    told = run("submit", "fit-light", "--environment", path).stderr
+    assert f"file: {path}\n" in told
+    assert "the option" not in told
+
+
+def test_errors_are_json_where_data_is(run: Run) -> None:
+    result = run("show", "nope", "-o", "json")
+    assert (result.exit_code, result.stdout) == (Exit.refused, "")
+    told = json.loads(result.stderr)
+    assert told["exit_code"] == Exit.refused
+    assert told["problem"]["code"] == "not-found"
+    assert told["request_id"]
+    assert "no job nope" in told["error"]
+    unreachable = CliRunner().invoke(app, ["--url", "http://127.0.0.1:9", "ls", "-o", "json"])
+    told = json.loads(unreachable.stderr)
+    assert told["exit_code"] == Exit.unreachable
+    assert "problem" not in told
 
 
 def test_a_binary_file_goes_to_the_parser_and_its_refusal_is_told(

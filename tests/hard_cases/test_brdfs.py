@@ -165,8 +165,8 @@ def test_extremes_factorise(name):
 
 
 @pytest.mark.parametrize("name", ANISOTROPIC)
-def test_separable_transfer_refuses_anisotropy_and_names_what_serves(name):
-    with pytest.raises(BrdfError, match=r"anisotropic.*glossy matrix transfer"):
+def test_separable_transfer_refuses_anisotropy_and_promises_nothing_else(name):
+    with pytest.raises(BrdfError, match=r"anisotropic.*no other transfer in this version"):
         factorise(brdf_from_spec(ANISOTROPIC[name]), n_terms=16)
 
 

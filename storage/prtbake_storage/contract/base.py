@@ -14,9 +14,14 @@ from pydantic import (
 
 
 class Wire(BaseModel):
-    """A model that goes over the wire: unknown fields and non-finite numbers are refused."""
+    """A model that goes over the wire: unknown fields and non-finite numbers are refused.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    A docstring below a field is its description in the schema.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 Digest = Annotated[str, StringConstraints(pattern=r"^sha256:[0-9a-f]{64}$")]

@@ -24,8 +24,11 @@ class PhongSpec(Wire):
 
     model: Literal["phong"] = "phong"
     kd: Reflectance = 0.0
+    """Diffuse reflectance."""
     ks: Reflectance = 1.0
+    """Reflectance of the lobe."""
     exponent: Annotated[float, Field(ge=1.0, le=10_000.0)] = 10.0
+    """Larger is glossier."""
 
 
 class BlinnPhongSpec(Wire):
@@ -33,8 +36,11 @@ class BlinnPhongSpec(Wire):
 
     model: Literal["blinn_phong"] = "blinn_phong"
     kd: Reflectance = 0.0
+    """Diffuse reflectance."""
     ks: Reflectance = 1.0
+    """Reflectance of the lobe."""
     exponent: Annotated[float, Field(ge=1.0, le=10_000.0)] = 40.0
+    """Larger is glossier."""
 
 
 class CookTorranceSpec(Wire):
@@ -46,9 +52,13 @@ class CookTorranceSpec(Wire):
 
     model: Literal["cook_torrance"] = "cook_torrance"
     kd: Reflectance = 0.3
+    """Diffuse reflectance."""
     ks: Reflectance = 0.7
+    """Scale of the lobe."""
     m: Annotated[float, Field(ge=0.01, le=2.0)] = 0.5
+    """Root mean square slope of the facets: smaller is glossier."""
     f0: Fraction | Rgb = 0.1
+    """Fresnel reflectance at normal incidence."""
 
 
 class GgxSpec(Wire):
@@ -60,9 +70,13 @@ class GgxSpec(Wire):
 
     model: Literal["ggx"] = "ggx"
     kd: Reflectance = 0.0
+    """Diffuse reflectance."""
     ks: Reflectance = 1.0
+    """Scale of the lobe."""
     alpha: Annotated[float, Field(ge=0.01, le=1.0)] = 0.5
+    """Roughness: smaller is glossier."""
     f0: Fraction | Rgb = 0.04
+    """Fresnel reflectance at normal incidence."""
 
 
 class OrenNayarSpec(Wire):
@@ -76,6 +90,7 @@ class OrenNayarSpec(Wire):
     model: Literal["oren_nayar"] = "oren_nayar"
     albedo: Reflectance = 1.0
     sigma: Annotated[float, Field(ge=0.0, le=math.pi / 2)] = 0.35
+    """Roughness in radians; 0 is Lambert."""
 
 
 class WardSpec(Wire):
@@ -87,9 +102,13 @@ class WardSpec(Wire):
 
     model: Literal["ward"] = "ward"
     kd: Reflectance = 0.0
+    """Diffuse reflectance."""
     ks: Reflectance = 1.0
+    """Scale of the lobe."""
     alpha_x: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
+    """Slope along the tangent."""
     alpha_y: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
+    """Slope across it; jobs take it equal to `alpha_x` only."""
 
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -106,6 +125,7 @@ class LafortuneLobe(Wire):
     """
 
     weight: NotNegative | tuple[NotNegative, NotNegative, NotNegative] = 1.0
+    """Scale of the lobe in 1/sr."""
     cx: LobeFactor = -1.0
     cy: LobeFactor = -1.0
     cz: LobeFactor = 1.0
@@ -129,6 +149,7 @@ class LafortuneSpec(Wire):
 
     model: Literal["lafortune"] = "lafortune"
     kd: Reflectance = 0.0
+    """Diffuse reflectance."""
     lobes: Annotated[tuple[LafortuneLobe, ...], Field(min_length=1, max_length=16)] = (
         LafortuneLobe(weight=12.0 / (2.0 * math.pi)),
     )
@@ -153,6 +174,24 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
 
 
+def check_isotropic(spec: AnyBrdfSpec) -> None:
+    """Refuse what no job of this version bakes, with a `ValueError` that names the fields."""
+    match spec:
+        case WardSpec() if spec.alpha_x != spec.alpha_y:
+            fields = f"alpha_x = {spec.alpha_x:g} and alpha_y = {spec.alpha_y:g}"
+        case LafortuneSpec():
+            found = (lobe for lobe in spec.lobes if lobe.cx != lobe.cy)
+            if (lobe := next(found, None)) is None:
+                return
+            fields = f"cx = {lobe.cx:g} and cy = {lobe.cy:g}"
+        case _:
+            return
+    raise ValueError(
+        f"{fields} make {spec.model} anisotropic: transfer of anisotropic BRDFs is not in this "
+        "version"
+    )
+
+
 MeasuredFormat = Literal["merl", "rgl", "scattered"]
 
 
@@ -174,5 +213,5 @@ __all__ = [
     "AbcSpec", "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe",
     "LafortuneSpec", "LambertSpec", "MeasuredFormat", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec",
     "PhongSpec", "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter",
-    "stored_brdf_adapter",
+    "check_isotropic", "stored_brdf_adapter",
 ]  # fmt: skip

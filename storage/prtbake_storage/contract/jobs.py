@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, field_validator
 
 from prtbake_storage.contract.base import Digest, Label, Wire
-from prtbake_storage.contract.brdf import BrdfSpec
+from prtbake_storage.contract.brdf import BrdfSpec, check_isotropic
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
@@ -59,6 +59,13 @@ class _SceneRequest(_Request):
     albedo_texture: Digest | None = None
     receiver: ReceiverPlane | None = None
     effects: Effects = Effects()
+
+    @field_validator("brdf")
+    @classmethod
+    def _isotropic(cls, brdf: str | BrdfSpec) -> str | BrdfSpec:
+        if not isinstance(brdf, str):
+            check_isotropic(brdf)
+        return brdf
 
 
 class BakeRequest(_SceneRequest):

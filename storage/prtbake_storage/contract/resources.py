@@ -26,6 +26,7 @@ class BuiltinEnvironment(Wire):
 
     name: Literal["sun_sky", "hall", "constant", "one_texel_sun"]
     width: Annotated[int, Field(ge=16, le=4096, multiple_of=2)] = 512
+    """Pixels along the horizon."""
     sun_elevation_deg: Annotated[float, Field(ge=-10.0, le=90.0)] = 40.0
     sun_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 30.0
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Positive, Vec3, Wire
-from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
+from prtbake_storage.contract.brdf import BrdfSpec, Reflectance, check_isotropic
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
@@ -23,10 +23,15 @@ class Effects(Wire):
     """
 
     self_shadowing: Switch = "auto"
+    """Shadows of the object on itself."""
     receiver_shadows: Switch = "auto"
+    """Shadows of the object and the plane on each other."""
     view_dependence: Switch = "auto"
+    """Reflection that changes with the view."""
     interreflection: Switch = "auto"
+    """Light that bounces between surfaces."""
     colour_bleeding: Switch = "auto"
+    """Bounced light of each colour by itself."""
 
 
 class ReceiverPlane(Wire):
@@ -36,10 +41,22 @@ class ReceiverPlane(Wire):
     """
 
     resolution: Annotated[int, Field(ge=2, le=1024)] = 64
+    """Vertices along each side."""
     extent: Annotated[float, Field(gt=0.0, le=100.0)] = 2.0
+    """Length of a side in diagonals of the object's box."""
     gap: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    """Distance below the box in diagonals; 0 lets the object stand on the plane."""
     albedo: Reflectance = 0.7
+    """Diffuse reflectance."""
     brdf: BrdfSpec | None = None
+    """Takes the place of `albedo`."""
+
+    @field_validator("brdf")
+    @classmethod
+    def _isotropic(cls, brdf: BrdfSpec | None) -> BrdfSpec | None:
+        if brdf is not None:
+            check_isotropic(brdf)
+        return brdf
 
 
 class BakeSettings(Wire):
@@ -51,28 +68,46 @@ class BakeSettings(Wire):
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
+    """N of 6 N^2 directions that light is simulated in."""
     supersample: Annotated[int, Field(ge=1, le=8)] = 1
+    """S of S^2 shadow rays a direction."""
     n_centres: CentreCount = 642
+    """Functions of the basis that transport is projected on."""
     bandwidth: Positive | None = None
+    """Of these functions: larger is narrower; null is 60 for 642 centres, and in proportion."""
     n_terms: Annotated[int, Field(ge=1, le=256)] | None = None
+    """Terms K of the BRDF at most; null lets `term_energy_lost` choose."""
     term_energy_lost: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    """Share of the BRDF's energy that its K terms may lose."""
     bounce_rays: Annotated[int, Field(ge=1, le=4096)] = 64
+    """Rays a vertex that look for bounced light."""
     max_bounces: Annotated[int, Field(ge=1, le=64)] = 6
+    """The last of them, whatever it adds."""
     bounce_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
+    """A bounce that adds less than this is the last: squared, relative."""
     frame_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    """Turns the tangent frames at random, which should change nothing."""
     tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Vertices a task; null leaves it to planning."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1
+    """Of a task."""
 
 
 class CompressSettings(Wire):
-    """Compression; ``None`` leaves the choice to planning.  ``ranks`` are (view, light, vert)."""
+    """Compression; null leaves the choice to planning.  ``ranks`` are (view, light, vert)."""
 
     method: Literal["auto", "cpca", "cta"] = "auto"
+    """Clustered PCA takes one term, clustered tensor approximation any."""
     n_clusters: Annotated[int, Field(ge=1, le=4096)] | None = None
+    """Of each part; null goes by its vertices and the quality."""
     ranks: tuple[Rank, Rank, Rank] | None = None
+    """Of the tensor approximation: view, light, vertex."""
     n_components: Annotated[int, Field(ge=1, le=512)] | None = None
+    """Of clustered PCA, a cluster."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
+    """Rounds of clustering at most."""
     threads: Annotated[int, Field(ge=1, le=64)] = 2
+    """Of a task."""
 
 
 class FitLightSettings(Wire):
@@ -80,19 +115,27 @@ class FitLightSettings(Wire):
 
     method: Literal["srbf_scattered"] = "srbf_scattered"
     n_lobes: Annotated[int, Field(ge=1, le=2000)] = 162
+    """Lobes that stand for the environment."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 6
+    """Rounds of refining them at most."""
 
 
 class Camera(Wire):
-    """A pinhole; None for eye and target lets the renderer frame the object from ``azimuth``."""
+    """A pinhole; null for eye and target frames the object, seen from azimuth and elevation."""
 
     name: str = Field(default="front", pattern=r"^[a-z0-9_-]{1,40}$")
+    """Part of the pictures' names."""
     eye: Vec3 | None = None
+    """In scene units; null stands so far off that the object fills the picture."""
     target: Vec3 | None = None
+    """What it looks at; null is the middle of the object."""
     up: Vec3 = (0.0, 1.0, 0.0)
     fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 35.0
+    """Vertical."""
     azimuth_deg: float = 30.0
+    """About y, from +z towards +x; for an eye of null."""
     elevation_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 20.0
+    """Above the horizon; for an eye of null."""
 
 
 def _distinct(cameras: list[Camera]) -> list[Camera]:
@@ -121,9 +164,13 @@ class RenderSettings(Wire):
     width: Annotated[int, Field(ge=16, le=4096)] = 640
     height: Annotated[int, Field(ge=16, le=4096)] = 480
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
+    """Turns the light about x, y and z."""
     turntable_frames: Annotated[int, Field(ge=0, le=360)] = 0
+    """Frames of an animation with the light turning; 0 makes none."""
     backend: Literal["auto", "egl", "cpu"] = "auto"
+    """OpenGL (`egl`) or `cpu`."""
     exposure: Positive | None = None
+    """Factor before the sRGB curve; null takes it from the first picture."""
 
     @field_validator("turntable_frames")
     @classmethod
@@ -147,9 +194,9 @@ SAMPLES_PER_PATH = 8
 class ValidateSettings(Wire):
     """Reference pictures: ``passes`` x ``samples`` light samples give value and variance.
 
-    ``bounces`` of light between surfaces, None for `REFERENCE_BOUNCES` where the transfer was baked
-    with bounces and 0 where it was not; they are estimated from ``passes`` x ``bounce_samples``
-    paths a pixel, None for one in `SAMPLES_PER_PATH` light samples.
+    ``bounces`` of light between surfaces, null for 8 where the transfer was baked with bounces and
+    for 0 where it was not; they are estimated from ``passes`` x ``bounce_samples`` paths a pixel,
+    null for one in 8 light samples.
     """
 
     cameras: Cameras = Field(
@@ -161,12 +208,17 @@ class ValidateSettings(Wire):
     width: Annotated[int, Field(ge=16, le=2048)] = 192
     height: Annotated[int, Field(ge=16, le=2048)] = 144
     passes: Annotated[int, Field(ge=2, le=256)] = 8
+    """Independent estimates of the reference: they tell its noise."""
     samples: Annotated[int, Field(ge=1, le=65536)] = 128
+    """Light samples a pixel and pass."""
     rotations_deg: Annotated[list[Vec3], Field(min_length=1, max_length=16)] = Field(
         default_factory=lambda: [(0.0, 0.0, 0.0)]
     )
+    """Turns of the light to validate at, about x, y and z."""
     bounces: Annotated[int, Field(ge=0, le=32)] | None = None
+    """Of the reference's light between surfaces."""
     bounce_samples: Annotated[int, Field(ge=1, le=65536)] | None = None
+    """Paths a pixel and pass."""
 
     def reference_bounces(self, *, baked: bool) -> int:
         """Return the bounces of the reference, for transfer with or without baked bounces."""

@@ -134,9 +134,8 @@ def _check_isotropy(brdf: Brdf) -> None:
     # a sharp lobe would hide its anisotropy from the few directions below
     if not is_isotropic(brdf):
         raise BrdfError(
-            "the BRDF is anisotropic: glossy separable transfer factorises it by azimuth and takes "
-            "isotropic BRDFs only; glossy matrix transfer (spherical harmonics in tangent frames) "
-            "serves it"
+            "the BRDF is anisotropic: separable transfer factorises it by azimuth, which needs "
+            "isotropy; jobs have no other transfer in this version"
         )
     theta = np.array([0.2, 0.7, 1.2])
     turn = np.array([0.0, 1.0, 2.5])

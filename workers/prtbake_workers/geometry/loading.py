@@ -90,4 +90,6 @@ def recognise_format(data: bytes) -> str:
         return "off"
     if any(words[0] in _OBJ_KEYWORDS for words in lines):
         return "obj"
-    raise MeshError("the content is none of OBJ, PLY, STL, OFF, GLB: state the format")
+    raise MeshError(
+        "the content is none of OBJ, PLY, STL, OFF, GLB: state the format", pointer="/format"
+    )

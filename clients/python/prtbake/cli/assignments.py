@@ -1,7 +1,7 @@
 """``--set path.to.field=value``."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import typer
@@ -37,6 +37,17 @@ def nested(pairs: list[str]) -> dict[str, Any]:
             node = inner
         node[steps[-1]] = parse_value(text)
     return tree
+
+
+def one_of(*legal: str) -> Callable[[str], str]:
+    """Return a callback that refuses an option's value unless it is one of these."""
+
+    def check(value: str) -> str:
+        if value not in legal:
+            raise typer.BadParameter(f"{value!r} is none of {', '.join(legal)}")
+        return value
+
+    return check
 
 
 def legal_names(

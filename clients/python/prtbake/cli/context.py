@@ -1,16 +1,18 @@
 """Which service a command talks to, and what its errors mean for the exit code."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import typer
 from pydantic import ValidationError
 from rich.markup import escape
 
 from prtbake.cli.exits import Exit, exit_of
-from prtbake.cli.output import messages
+from prtbake.cli.output import Output, messages
 from prtbake.client import Client
 from prtbake.errors import (
     ApiError,
@@ -42,30 +44,33 @@ def target_of(context: typer.Context) -> Target:
 def client_of(context: typer.Context) -> Iterator[Client]:
     """Open a client; turn errors into a message and an exit code."""
     target = target_of(context)
-    with reporting(), Client(target.url, key=target.key, data_dir=target.data_dir) as client:
+    output = context.params.get("output", Output.text)
+    with reporting(output), Client(target.url, key=target.key, data_dir=target.data_dir) as client:
         yield client
 
 
 @contextmanager
-def reporting() -> Iterator[None]:
-    """Turn errors into a message on standard error and an exit code."""
+def reporting(output: Output = Output.text) -> Iterator[None]:
+    """Turn errors into a message on standard error, text or JSON, and an exit code."""
     try:
         yield
     except KeyboardInterrupt:
         raise typer.Exit(Exit.interrupted) from None
     except ValidationError as error:
         for entry in error.errors():
-            _say(f"/{'/'.join(str(step) for step in entry['loc'])}: {entry['msg']}")
+            where = f"/{'/'.join(str(step) for step in entry['loc'])}"
+            _say(f"{where}: {entry['msg']}", Exit.usage, output)
         raise typer.Exit(Exit.usage) from None
     except PrtbakeError as error:
-        _say(str(error))
-        if isinstance(error, ApiError) and error.request_id:
-            messages().print(f"[dim]request {escape(error.request_id)}[/]")
+        lines = [str(error), *getattr(error, "__notes__", ())]
+        _say(
+            "\n".join(lines), code_of(error), output, error if isinstance(error, ApiError) else None
+        )
         raise typer.Exit(code_of(error)) from None
     except BrokenPipeError:
         raise typer.Exit(Exit.error) from None  # nobody reads on, `head` has what it wanted
     except OSError as error:
-        _say(str(error))
+        _say(str(error), Exit.error, output)
         raise typer.Exit(Exit.error) from None
 
 
@@ -88,5 +93,14 @@ def code_of(error: PrtbakeError) -> Exit:
             return Exit.error
 
 
-def _say(text: str) -> None:
-    messages().print(f"[red]error:[/] {escape(text)}")
+def _say(text: str, code: Exit, output: Output, answer: ApiError | None = None) -> None:
+    if output is Output.text:
+        messages().print(f"[red]error:[/] {escape(text)}")
+        if answer is not None and answer.request_id:
+            messages().print(f"[dim]request {escape(answer.request_id)}[/]")
+        return
+    told: dict[str, Any] = {"error": text, "exit_code": int(code)}
+    if answer is not None:
+        problem = answer.problem.model_dump(mode="json", exclude_none=True)
+        told |= {"problem": problem, "request_id": answer.request_id}
+    typer.echo(json.dumps(told), err=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from prtbake.cli.context import reporting, target_of
@@ -25,6 +26,7 @@ from prtbake.cli.output import (
 )
 from prtbake.cli.progress import show
 from prtbake.cli.report import asset_bytes, print_result, total_error, total_seconds
+from prtbake.cli.requests import Quality as QualityOption
 from prtbake.cli.serve import raise_interrupt
 from prtbake.client import Client
 from prtbake.config import home
@@ -49,7 +51,7 @@ BRDF = CookTorranceSpec(m=0.5, kd=0.3, ks=0.7, f0=0.1)
 
 def demo(
     context: typer.Context,
-    quality: Annotated[str, typer.Option(help="draft, low, medium, high or reference.")] = "medium",
+    quality: QualityOption = "medium",
     ladder: Annotated[
         bool, typer.Option("--ladder", help="Draft, medium and high beside each other.")
     ] = False,
@@ -67,7 +69,7 @@ def demo(
     signal.signal(signal.SIGTERM, raise_interrupt)
     say = messages()
     given = data_dir or target_of(context).data_dir
-    with reporting(), _folder(given) as folder:
+    with reporting(output), _folder(given) as folder:
         say.print(f"starting the service and {workers} workers")
         with LocalService(folder, n_workers=workers, embedded=given is None) as service:
             say.print(f"page: {service.page}")
@@ -77,9 +79,8 @@ def demo(
                     jobs = [_run(client, rung, tessellation, to / rung, same) for rung in LADDER]
                     rungs = [_rung(*pair) for pair in zip(LADDER, jobs, strict=True)]
                     (to / "ladder.json").write_text(json.dumps({"ladder": rungs}, indent=2))
-                    _print_ladder(rungs, output)
+                    print_ladder(rungs, to, output)
                 else:
-                    # anything else is refused by the service, which knows the names
                     jobs = [_run(client, quality, tessellation, to)]
                     _print_one(jobs[0], to, output)
     for job in jobs:
@@ -139,7 +140,13 @@ def _print_one(job: Job, to: Path, output: Output) -> None:
         say.print(f"report: [bold]{report}[/]")
 
 
-def _print_ladder(rungs: list[dict[str, Any]], output: Output) -> None:
+def print_ladder(rungs: list[dict[str, Any]], to: Path, output: Output) -> None:
+    """Print the qualities beside each other, and on standard error what lies where."""
+    done = [to / rung["quality"] for rung in rungs if rung["state"] == "succeeded"]
+    where = f"this table: {to / 'ladder.json'}"
+    if done:
+        where += f"; the files of each job, report.html among them: {', '.join(map(str, done))}"
+    messages().print(escape(where))
     if output is Output.json:
         print_json({"ladder": rungs})
         return

@@ -10,7 +10,7 @@ from prtbake.cli.jobs import Job
 from prtbake.cli.output import Output, OutputOption, console, human_bytes, print_json
 from prtbake.cli.progress import TransferProgress
 from prtbake.cli.requests import CreaseAngle
-from prtbake.cli.sources import existing_file
+from prtbake.cli.sources import existing_file, naming
 from prtbake.errors import JobNotSucceeded, PrtbakeError
 from prtbake_storage.contract.jobs import JobState
 from prtbake_storage.contract.resources import Resource
@@ -92,7 +92,9 @@ def register_mesh(
             "crease_angle_deg": crease_angle,
             "label": label,
         }
-        _print(client.add_mesh(path, **options), output)
+        with naming(path, {"/format": "--format"}):
+            mesh = client.add_mesh(path, **options)
+        _print(mesh, output)
 
 
 @register_group.command("brdf")
@@ -108,7 +110,9 @@ def register_brdf(
     """Register a BRDF: JSON, fits (.csv, .h5) or a measurement; prints what was understood."""
     path = existing_file(file, "FILE")
     with client_of(context) as client:
-        _print(client.add_brdf(path, material=material, label=label), output)
+        with naming(path, {"/material": "--material"}):
+            brdf = client.add_brdf(path, material=material, label=label)
+        _print(brdf, output)
 
 
 @register_group.command("environment")
@@ -134,7 +138,9 @@ def register_environment(
         "label": label,
     }
     with client_of(context) as client:
-        _print(client.add_environment(path, **options), output)
+        with naming(path, {"/layout": "--layout"}):
+            environment = client.add_environment(path, **options)
+        _print(environment, output)
 
 
 def _print(resource: Resource, output: Output) -> None:

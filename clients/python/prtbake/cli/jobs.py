@@ -7,13 +7,16 @@ from rich.markup import escape
 
 from prtbake.cli.context import client_of
 from prtbake.cli.exits import exit_of
-from prtbake.cli.output import Output, OutputOption, console, print_job, print_jobs
+from prtbake.cli.output import Output, OutputOption, console, messages, print_job, print_jobs
 from prtbake.cli.progress import show
 from prtbake.cli.report import print_result
 from prtbake_storage.contract.jobs import Event
 
 Job = Annotated[str, typer.Argument(metavar="JOB", help="The job's id.")]
-Seconds = Annotated[float | None, typer.Option(help="Give up after so many seconds.")]
+Seconds = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", min=0.0, help="Give up after so many seconds."),
+]
 
 
 def wait(
@@ -56,7 +59,11 @@ def logs(
 def cancel(context: typer.Context, job: Job, output: OutputOption = Output.text) -> None:
     """Ask for a job to stop; asking again, or too late, changes nothing."""
     with client_of(context) as client:
-        print_job(client.cancel(job), output)
+        ended = client.job(job).state.terminal
+        found = client.cancel(job)
+    print_job(found, output)
+    if ended:
+        messages().print(f"job {found.id} had ended: there was nothing to cancel")
 
 
 def retry(context: typer.Context, job: Job, output: OutputOption = Output.text) -> None:

@@ -28,7 +28,9 @@ class Output(StrEnum):
     json = "json"
 
 
-OutputOption = Annotated[Output, typer.Option("--output", "-o", help="How to print data.")]
+OutputOption = Annotated[
+    Output, typer.Option("--output", "-o", metavar="FORMAT", help="Print data as text or json.")
+]
 
 
 def console() -> Console:
@@ -63,7 +65,7 @@ def print_job(job: Job, output: Output) -> None:
     out.print(f"[bold]{job.id}[/]  {colour(job.state)}  {escape(job.label or job.kind)}")
     if job.error:
         where = f" (at {job.error.pointer})" if job.error.pointer else ""
-        out.print(f"  {escape(job.error.detail)}{escape(where)} [dim]{job.error.code}[/]")
+        out.print(f"  {escape(f'{job.error.detail}{where} [{job.error.code}]')}")
     for artefact in job.artefacts:
         out.print(f"  {artefact.name}  {human_bytes(artefact.size)}")
 

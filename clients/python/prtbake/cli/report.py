@@ -17,6 +17,10 @@ def print_result(result: Result) -> None:
     for table in (_budget(result), _errors(result), _costs(result), _effects(result)):
         if table is not None and table.row_count:
             console().print(table)
+    if _is_list(notes := result.get("notes")) and notes:
+        console().print("notes")
+        for note in notes:
+            console().print(f"  [yellow]{escape(str(note))}[/]")
 
 
 def total_error(result: Result) -> float | None:
@@ -46,20 +50,17 @@ def _budget(result: Result) -> Table | None:
     budget = result.get("budget")
     if not isinstance(budget, Mapping):
         return None
-    caption = None
-    if budget.get("black_reference"):
-        caption = "the reference is black or lost in its noise: relative to the brightest picture"
     table = Table(
         title="error budget: relative L2 of the validation pictures",
         title_justify="left",
-        caption=caption,
         caption_justify="left",
     )
     table.add_column("line")
-    table.add_column("error", justify="right")
+    table.add_column("relative L2", justify="right")
     table.add_column("noise", justify="right")
     listed = budget.get("lines")
     lines = [line for line in listed if isinstance(line, Mapping)] if _is_list(listed) else []
+    stars = [line.get("below_noise") for line in lines]
     for line in lines:
         table.add_row(
             escape(str(line.get("name", "?"))),
@@ -72,13 +73,21 @@ def _budget(result: Result) -> Table | None:
     )
     for name in ("total", "measured_total"):
         if _number(budget.get(name)) is not None:
-            starred = budget.get(f"{name}_below_noise")
+            stars.append(starred := budget.get(f"{name}_below_noise"))
             table.add_row(
                 "measured total",
                 _percent(budget[name], starred=starred),
                 _percent(budget.get(f"{name}_noise")),
                 style="bold",
             )
+    captions = []
+    if any(stars):
+        captions.append("* below the noise of its measurement")
+    if budget.get("black_reference"):
+        captions.append(
+            "the reference is black or lost in its noise: relative to the brightest picture"
+        )
+    table.caption = "\n".join(captions) or None
     return table
 
 
@@ -87,11 +96,13 @@ def _errors(result: Result) -> Table | None:
     if not errors:
         return None
     table = Table(
-        title="each stage's own error: squared, of the transport it was given",
+        title="each stage's own error: squared, relative to what the stage was given",
         title_justify="left",
+        caption="squared: 1 % here is a relative L2 of 10 %; report.json says of what and to what",
+        caption_justify="left",
     )
     table.add_column("of")
-    table.add_column("error", justify="right")
+    table.add_column("squared error", justify="right")
     for name, value in errors.items():
         table.add_row(escape(name), _percent(value))
     return table

@@ -9,12 +9,12 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 from pydantic import BaseModel
 
-from prtbake.cli.assignments import legal_names, nested, parse_value
+from prtbake.cli.assignments import legal_names, nested, one_of, parse_value
 from prtbake.cli.context import client_of
 from prtbake.cli.sources import (
     brdf_value,
@@ -24,6 +24,7 @@ from prtbake.cli.sources import (
     mesh_id,
 )
 from prtbake.client import Client
+from prtbake_storage.contract import resources as contract
 from prtbake_storage.contract.settings import (
     STAGES,
     BakeSettings,
@@ -34,53 +35,109 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
+from prtbake_storage.contract.settings import Quality as QualityName
 
 Request = dict[str, Any]
 Builder = Callable[..., Request]
 Action = Callable[..., None]
 
-Mesh = Annotated[str, typer.Option(help="FILE, builtin:teapot[:N], builtin:icosphere[:N] or id.")]
-Brdf = Annotated[str, typer.Option(help="FILE[#MATERIAL], 'ggx,alpha=0.3,f0=0.9', JSON or id.")]
-Environment = Annotated[
-    str, typer.Option(help="FILE (.hdr, .exr), builtin:sun_sky[,key=value,...] or id.")
+# metavars are short so that 80 columns have room for the syntax
+Mesh = Annotated[
+    str,
+    typer.Option(
+        metavar="MESH",
+        help="A file, an id, builtin:teapot:12 or builtin:icosphere:4",
+    ),
 ]
-MeshFormat = Annotated[str, typer.Option(help="auto, obj, ply, stl, off or glb.")]
+Brdf = Annotated[
+    str,
+    typer.Option(
+        metavar="BRDF",
+        help="A file, FILE#MATERIAL, JSON, an id, or a model: lambert,albedo=0.5:0.3:0.2",
+    ),
+]
+Environment = Annotated[
+    str,
+    typer.Option(metavar="LIGHT", help="A file (.hdr, .exr), an id, or builtin:sun_sky,width=256"),
+]
+MeshFormat = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="auto, obj, ply, stl, off or glb.",
+        callback=one_of(*get_args(contract.MeshFormat)),
+    ),
+]
 CreaseAngle = Annotated[
     float | None,
     typer.Option(
-        help="Degrees: edges sharper than this stay sharp, and the file's normals are not taken."
+        metavar="DEGREES",
+        help="Edges sharper than this stay sharp, and the file's normals are not taken.",
     ),
 ]
 Layout = Annotated[
     str,
-    typer.Option(help="auto, lat_long, lat_long_exr, angular_probe or cube_strip."),
+    typer.Option(
+        metavar="NAME",
+        help="auto, lat_long, lat_long_exr, angular_probe or cube_strip.",
+        callback=one_of(*get_args(contract.EnvironmentLayout)),
+    ),
 ]
-Repair = Annotated[bool, typer.Option(help="Replace NaN and infinite pixels, and say so.")]
+Repair = Annotated[
+    bool,
+    typer.Option("--repair-non-finite", help="Replace NaN and infinite pixels, and say so."),
+]
 Receiver = Annotated[
     str | None,
     typer.Option(
-        help="Plane under the object: 'on', a resolution, resolution=64,extent=2, or JSON."
+        metavar="PLANE",
+        help="Plane under the object: 'on', a resolution, resolution=64,extent=2 or JSON.",
     ),
 ]
-Texture = Annotated[str | None, typer.Option(help="Albedo as PNG, or sha256:...")]
-Effect = Annotated[list[str] | None, typer.Option(help="NAME=auto|on|off; repeat for several.")]
-Quality = Annotated[str, typer.Option(help="draft, low, medium, high or reference.")]
+Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file, or sha256:...")]
+Effect = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=...",
+        help=f"auto, on or off for one of {', '.join(Effects.model_fields)}; repeat for several.",
+    ),
+]
+Quality = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="draft, low, medium, high or reference.",
+        callback=one_of(*get_args(QualityName)),
+    ),
+]
 Set = Annotated[
-    list[str] | None, typer.Option("--set", help="A setting, as n_terms=16; repeat for several.")
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=...", help="A setting, as n_terms=16; repeat for several."),
 ]
 StageSet = Annotated[
     list[str] | None,
-    typer.Option("--set", help="A setting of a stage, as bake.n_terms=16; repeat for several."),
+    typer.Option(
+        "--set",
+        metavar="NAME=...",
+        help="A setting of a stage, as bake.n_terms=16; repeat for several.",
+    ),
 ]
-Label = Annotated[str | None, typer.Option(help="A name for people.")]
-Priority = Annotated[int, typer.Option(help="1 (first) to 100.")]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
-Timeout = Annotated[int | None, typer.Option(help="Seconds after which the job expires.")]
-Artefact = Annotated[str, typer.Option(help="JOB/NAME of an earlier job.")]
+Label = Annotated[str | None, typer.Option(metavar="TEXT", help="A name for people.")]
+Priority = Annotated[int, typer.Option(metavar="N", help="1 (first) to 100.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")]
+Timeout = Annotated[
+    int | None,
+    typer.Option(metavar="SECONDS", help="After these the job expires."),
+]
+Artefact = Annotated[str, typer.Option(metavar="JOB/NAME", help="A file of an earlier job.")]
 Exact = Annotated[
     str | None,
-    typer.Option(help="JOB/NAME of the asset in 32 bits, to tell compression from quantisation."),
+    typer.Option(
+        metavar="JOB/NAME",
+        help="The asset in 32 bits, to tell compression from quantisation.",
+    ),
 ]
+WORDS = "How to write MESH, BRDF, LIGHT and PLANE: docs/client.md, words on the command line."
 
 
 def asset(
@@ -271,7 +328,7 @@ def request_commands(group: typer.Typer, action: Action) -> None:
     The action is called as ``action(client, request, **its options)``.
     """
     for name, builder in BUILDERS.items():
-        group.command(name)(_joined(builder, action))
+        group.command(name, epilog=WORDS)(_joined(builder, action))
 
 
 def _joined(builder: Builder, action: Action) -> Callable[..., None]:

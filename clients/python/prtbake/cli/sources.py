@@ -9,14 +9,18 @@
 
 import json
 import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
 import typer
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from prtbake.cli.assignments import legal_names, parse_value
 from prtbake.client import Client
+from prtbake.errors import InvalidRequest
 from prtbake_storage.contract.brdf import BrdfSpec, brdf_adapter
 from prtbake_storage.contract.resources import (
     BuiltinEnvironment,
@@ -52,7 +56,8 @@ def mesh_id(
         registration = MeshRegistration(builtin=builtin, crease_angle_deg=crease_angle_deg)
         return client.register(registration).id
     path = existing_file(source, "--mesh")
-    return client.add_mesh(path, format=format, crease_angle_deg=crease_angle_deg).id
+    with naming(path, {"/format": "--mesh-format"}):
+        return client.add_mesh(path, format=format, crease_angle_deg=crease_angle_deg).id
 
 
 def environment_id(client: Client, source: str, **options: object) -> str:
@@ -65,7 +70,9 @@ def environment_id(client: Client, source: str, **options: object) -> str:
         options = legal_names(key_values(pairs), fields, source.partition(",")[0], "--environment")
         builtin = BuiltinEnvironment.model_validate({"name": name, **options})
         return client.register(EnvironmentRegistration(builtin=builtin)).id
-    return client.add_environment(existing_file(source, "--environment"), **options).id
+    path = existing_file(source, "--environment")
+    with naming(path, {"/layout": "--layout"}):
+        return client.add_environment(path, **options).id
 
 
 def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
@@ -83,7 +90,9 @@ def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
         return _checked({"model": name, **legal_names(key_values(pairs), fields, name, "--brdf")})
     file, hash_, material = source.rpartition("#")
     if hash_ and not Path(source).expanduser().is_file():
-        return client.add_brdf(existing_file(file, "--brdf"), material=material).id
+        path = existing_file(file, "--brdf")
+        with naming(path):
+            return client.add_brdf(path, material=material).id
     if not Path(source).expanduser().is_file():
         raise typer.BadParameter(
             f"there is no file {source}, and the BRDF models are {', '.join(_MODELS)}",
@@ -91,11 +100,23 @@ def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
         )
     path = existing_file(source, "--brdf")
     if not is_json(path):
-        return client.add_brdf(path).id
+        with naming(path):
+            return client.add_brdf(path).id
     try:
         return _brdf(path.read_text())
     except UnicodeDecodeError as error:
         raise typer.BadParameter(f"{source} is not JSON but binary", param_hint="--brdf") from error
+
+
+@contextmanager
+def naming(path: Path, options: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Add to the refusal of a file which file it is, and the option for the field at fault."""
+    try:
+        yield
+    except InvalidRequest as error:
+        option = (options or {}).get(error.problem.pointer or "")
+        error.add_note(f"  file: {path}" + (f"; the option is {option}" if option else ""))
+        raise
 
 
 def is_json(path: Path) -> bool:
@@ -131,5 +152,21 @@ def _brdf(text: str) -> dict[str, Any]:
 
 
 def _checked(value: object) -> dict[str, Any]:
-    plain: dict[str, Any] = brdf_adapter.validate_python(value).model_dump(mode="json")
+    try:
+        spec = brdf_adapter.validate_python(value)
+    except ValidationError as error:
+        raise typer.BadParameter("; ".join(_complaints(error)), param_hint="--brdf") from error
+    plain: dict[str, Any] = spec.model_dump(mode="json")
     return plain
+
+
+def _complaints(error: ValidationError) -> list[str]:
+    """Say what is wrong, once a field: not what each member of a union would have liked instead."""
+    found: dict[str, ErrorDetails] = {}
+    for entry in error.errors():
+        # the location is the model, the field and what of it was tried
+        field = str(entry["loc"][1]) if len(entry["loc"]) > 1 else "model"
+        # a value out of range says more than a value of another type
+        if field not in found or found[field]["type"].endswith("_type"):
+            found[field] = entry
+    return [f"{field}: {entry['msg']}" for field, entry in found.items()]

@@ -24,11 +24,13 @@ def submit(
     request: dict[str, Any],
     *,
     job_id: Annotated[
-        str | None, typer.Option("--id", help="The job's id; submitting it again is safe.")
+        str | None,
+        typer.Option("--id", metavar="ID", help="The job's id; submitting it again is safe."),
     ] = None,
     wait: Annotated[bool, typer.Option("--wait", "-w", help="Wait for its end.")] = False,
     to: Annotated[
-        Path | None, typer.Option(help="Wait, then download everything into this folder.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Wait, then download everything into this folder."),
     ] = None,
     output: OutputOption = Output.text,
 ) -> None:
