@@ -13,7 +13,12 @@ from support.deployment import EAGER, Installation, installed
 from support.disturbance import leaves_nothing_when_canceled, survives_a_kill
 from support.main_job import GLOSSY
 
-pytestmark = [pytest.mark.acceptance, pytest.mark.real_data, pytest.mark.long]
+pytestmark = [
+    pytest.mark.acceptance,
+    pytest.mark.real_data,
+    pytest.mark.long,
+    pytest.mark.timeout(2 * 3600),
+]
 
 BAKE = {"cube_resolution": 32, "n_centres": 642, "n_terms": 16}
 COMPRESSION = {"n_clusters": 97, "ranks": [8, 48, 24]}
