@@ -8,7 +8,7 @@ from PIL import Image
 
 from prtbake_storage.contract.settings import RenderSettings
 from prtbake_storage.queue.child import run_task_in_child
-from prtbake_storage.queue.stages import Results
+from prtbake_storage.queue.stages import Results, package_of
 from prtbake_workers.jobs import render
 from prtbake_workers.jobs.registry import REGISTRY
 
@@ -17,6 +17,7 @@ def run_child(task, store):
     with store.scratch() as scratch:
         return run_task_in_child(
             task,
+            package=package_of(REGISTRY),
             store_url=store.url,
             scratch=scratch,
             on_message=lambda _: None,

@@ -8,6 +8,7 @@ import pytest
 
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -80,7 +81,7 @@ def plain_twin(scene, row, albedo, n_rays, seed):
     local = cosine_directions(shifted(lattice(n_rays), shifts(seed, row, row + 1, 2)))[0]
     result = np.zeros((albedo.n_channels, scene.n_vertices))
     origin = offset_origins(scene.ray_points[[row]], scene.ray_sides[[row]], epsilon)
-    for ray in local @ scene.frames[row]:
+    for ray in local @ tangent_frames(scene.normals[row : row + 1])[0]:
         hits = tracer.intersect(origin, ray[None].astype(np.float32))
         triangle = int(hits.triangles[0])
         if triangle < 0:

@@ -8,6 +8,7 @@ from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -86,7 +87,9 @@ def test_diffuse_parts_bounce_as_the_sparse_operator_does(
 def slow_twin(scene, accelerator, part, vertex, factorisations, values, sent):
     """One vertex, ray by ray, in float64; albedo by vertex, one channel."""
     local = cosine_directions(shifted(lattice(N_RAYS), shifts(SEED, vertex, vertex + 1, 2)))[0]
-    world = (local @ scene.frames[vertex]).astype(np.float32)
+    frame = tangent_frames(scene.normals[vertex : vertex + 1])[0]
+    world = (local @ frame).astype(np.float32)
+    local = local @ frame @ scene.frames[vertex].T
     origin = offset_origins(
         scene.ray_points[vertex : vertex + 1], scene.ray_sides[vertex : vertex + 1],
         ray_epsilon(scene.bounds),
@@ -173,8 +176,8 @@ def test_turning_the_frames_turns_the_terms_and_nothing_else(rng, accelerator, d
         ).apply(sent)  # fmt: skip
         energies.append((found.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
     lit = energies[0] > 1e-3 * energies[0].max()
-    # other rays in other frames: what 4,096 of them leave to chance
-    np.testing.assert_allclose(energies[1][lit], energies[0][lit], rtol=0.05)
+    # the same rays: what is left is the tables' rounding
+    np.testing.assert_allclose(energies[1][lit], energies[0][lit], rtol=1e-3)
 
 
 def test_black_surfaces_send_nothing_and_no_ray_is_traced(rng, scene, accelerator, diffuse):

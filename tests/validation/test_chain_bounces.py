@@ -54,7 +54,7 @@ def corner(tmp_path_factory):
     path = tmp_path_factory.mktemp("mesh") / "corner.obj"
     path.write_bytes(mesh)
     brdf = {"model": "lambert", "albedo": ALBEDO}
-    request = asset_request(brdf=brdf, receiver=None)
+    request = asset_request(brdf=brdf, receiver=None, effects={"interreflection": "off"})
     context = context_of(
         store,
         request,

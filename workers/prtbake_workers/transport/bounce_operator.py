@@ -23,6 +23,7 @@ from scipy.sparse import coo_array, csr_array, vstack
 
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import B8, F32, F64, I32, I64, Bool, Float32, Float64, Int64
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -229,7 +230,7 @@ class _Tracer:
             first, last = int(rows[0]), int(rows[-1]) + 1
             shift = shifts(self.seed, first, last, 2)[rows - first]
         local = cosine_directions(shifted(self.pattern, shift))
-        axes = self.scene.frames[vertices].copy()
+        axes = tangent_frames(self.scene.normals[vertices])
         # a half turn about the tangent where the back is meant
         axes[:, 1] *= np.sign(np.einsum("vi,vi->v", axes[:, 2], normals))[:, None]
         axes[:, 2] = normals

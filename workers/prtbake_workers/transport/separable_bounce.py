@@ -22,6 +22,7 @@ from scipy.sparse import coo_array
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
@@ -115,8 +116,11 @@ class BounceGather:
         usable = np.flatnonzero(np.abs(lengths - 1.0) < 1e-3)
         for start in range(0, len(usable), VERTICES_PER_PRODUCT):
             rows = usable[start : start + VERTICES_PER_PRODUCT]
-            local = cosine_directions(shifted(pattern, shift[vertices[rows] - first]))
-            rays = _cast(surface, vertices[rows], local)
+            own = vertices[rows]
+            # in frames of the normals alone: turning those of the terms turns no ray
+            drawn = cosine_directions(shifted(pattern, shift[own - first]))
+            world = drawn @ tangent_frames(scene.normals[own])
+            rays = _cast(surface, own, world)
             self.n_rays += rays.n_rays
             self.n_hits += rays.n_hits
             self.n_back_hits += rays.n_hits - len(rays.index)
@@ -125,7 +129,8 @@ class BounceGather:
             if len(seeing) == 0:
                 continue
             index = place * n_rays + rays.index % n_rays
-            psi = factorisations[part].eval_psi(local[seeing].reshape(-1, 3))
+            local = np.einsum("vij,vrj->vri", scene.frames[own[seeing]], world[seeing])
+            psi = factorisations[part].eval_psi(local.reshape(-1, 3))
             psi = psi.reshape(len(seeing), n_rays, -1).transpose(0, 2, 1)
             shape = (len(seeing) * n_rays, n_channels)
             self._products.append(
@@ -133,8 +138,8 @@ class BounceGather:
                     rows=rows[seeing],
                     weighted=np.ascontiguousarray(np.pi / n_rays * psi, np.float32),
                     sending=tuple(
-                        _sending_rows(scene, number, own, albedo, rays, index, shape)
-                        for number, own in enumerate(factorisations)
+                        _sending_rows(scene, number, sender, albedo, rays, index, shape)
+                        for number, sender in enumerate(factorisations)
                     ),
                 )
             )
@@ -196,10 +201,9 @@ class _Rays:
 
 
 def _cast(
-    surface: OpaqueSurface, vertices: Int64[I64, " verts"], local: Float64[F64, "verts rays 3"]
+    surface: OpaqueSurface, vertices: Int64[I64, " verts"], world: Float64[F64, "verts rays 3"]
 ) -> _Rays:
-    scene = surface.scene
-    directions = (local @ scene.frames[vertices]).astype(np.float32)
+    scene, directions = surface.scene, world.astype(np.float32)
     origins = offset_origins(scene.ray_points[vertices], scene.ray_sides[vertices], surface.epsilon)
     flat = np.ascontiguousarray(directions.reshape(-1, 3))
     hits = surface.intersect(np.repeat(origins, directions.shape[1], axis=0), flat)

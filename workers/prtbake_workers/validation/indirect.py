@@ -1,11 +1,13 @@
 """The indirect light of the chain's reference: paths from the pixels' own points."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from prtbake_storage.contract.settings import ValidateSettings
 from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
 from prtbake_workers.transport.surface import OpaqueSurface
@@ -29,7 +31,10 @@ class PathLight:
 
     def __init__(self, validation: ValidationScene, hits: PixelHits) -> None:
         self._environment = validation.environment
-        self._surface = OpaqueSurface(validation.scene, validation.accelerator)
+        scene = validation.scene
+        # isotropic BRDFs look alike in any frames, but paths drawn in others would be others
+        upright = replace(scene, frames=tangent_frames(scene.normals))
+        self._surface = OpaqueSurface(upright, validation.accelerator)
         self._materials = [
             PathMaterial(part.brdf, part_texture(validation, index))
             for index, part in enumerate(validation.parts)
