@@ -14,7 +14,7 @@ from support.scenes import GLOSSY, asset_request, context_of, run_until
 pytestmark = pytest.mark.real_data
 
 CAMERAS = [Camera(), Camera(name="back", azimuth_deg=200.0, elevation_deg=35.0)]
-SETTINGS = ValidateSettings(width=96, height=72, passes=6, samples=96)
+SETTINGS = ValidateSettings(width=96, height=72, passes=6, samples=96, bounce_samples=32)
 LIGHTS = ("sun_sky", "kloppenheim", "one_texel_sun")
 MESHES = ("teapot", "bunny", "spot")
 
