@@ -7,22 +7,10 @@ import pytest
 from PIL import Image
 
 from prtbake_storage.contract.settings import RenderSettings
-from prtbake_storage.queue.child import run_task_in_child
-from prtbake_storage.queue.stages import Results, package_of
+from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs import render
 from prtbake_workers.jobs.registry import REGISTRY
-
-
-def run_child(task, store):
-    with store.scratch() as scratch:
-        return run_task_in_child(
-            task,
-            package=package_of(REGISTRY),
-            store_url=store.url,
-            scratch=scratch,
-            on_message=lambda _: None,
-            should_stop=lambda: None,
-        ).result
+from support.task_child import run_child
 
 
 @pytest.mark.parametrize("backend", ["auto", "cpu"])
@@ -36,7 +24,7 @@ def test_a_turntable_is_rendered_frame_by_frame(glossy_asset, store, backend):
     settings = RenderSettings(width=32, height=24, turntable_frames=4, backend=backend)
     (task,) = render.stages(lambda _: inputs, settings)[0].tasks(Results())
     assert task.memory_bytes == render.MEMORY_BYTES
-    pictures = {picture["name"]: picture for picture in run_child(task, store)["pictures"]}
+    pictures = {picture["name"]: picture for picture in run_child(task, store).result["pictures"]}
     assert pictures["turntable.png"]["media_type"] == "image/apng"
     shown = []
     with Image.open(io.BytesIO(store.read_bytes(pictures["turntable.png"]["digest"]))) as image:
@@ -57,5 +45,5 @@ def test_a_camera_is_validated_within_its_limit(glossy_asset, store):
     (stage,) = (s for s in REGISTRY.stages("asset", request, context) if s.name == "validate")
     tasks = stage.tasks(results)
     assert all(task.memory_bytes for task in tasks)
-    again = run_child(tasks[0], store)
+    again = run_child(tasks[0], store).result
     assert again["views"][0]["hits"] == results["validate"][0]["views"][0]["hits"] > 0

@@ -3,25 +3,13 @@
 import pytest
 
 from prtbake_storage.contract.settings import BakeSettings
-from prtbake_storage.queue.child import run_task_in_child
-from prtbake_storage.queue.stages import Results, package_of
+from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.planning.cost import plan_memory_bytes, tile_memory_bytes
 from support.scenes import asset_request, teapot_context
+from support.task_child import run_child
 
 BAKE = {"cube_resolution": 32, "n_centres": 642, "n_terms": 16, "tile_vertices": 1024}
-
-
-def run_child(task, store):
-    with store.scratch() as scratch:
-        return run_task_in_child(
-            task,
-            package=package_of(REGISTRY),
-            store_url=store.url,
-            scratch=scratch,
-            on_message=lambda _: None,
-            should_stop=lambda: None,
-        )
 
 
 def test_planning_and_a_tile_hold_what_is_predicted(store):
