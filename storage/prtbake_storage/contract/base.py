@@ -27,6 +27,9 @@ class Wire(BaseModel):
 Digest = Annotated[str, StringConstraints(pattern=r"^sha256:[0-9a-f]{64}$")]
 """Content address of a blob."""
 
+ResourceId = Annotated[str, Field(pattern=r"^(mesh|brdf|environment)-[0-9a-f]{16}$")]
+"""A registered upload."""
+
 Label = Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00]*$")]
 """A name for people; PostgreSQL's texts hold every character but NUL."""
 

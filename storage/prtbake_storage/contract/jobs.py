@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, field_validator
 
-from prtbake_storage.contract.base import Digest, Label, Wire
+from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
 from prtbake_storage.contract.brdf import BrdfSpec, check_isotropic
 from prtbake_storage.contract.settings import (
     AssetSettings,
@@ -41,7 +41,6 @@ class JobState(StrEnum):
 TERMINAL = frozenset({JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired})
 
 JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset"]
-ResourceId = Annotated[str, Field(pattern=r"^(mesh|brdf|environment)-[0-9a-f]{16}$")]
 ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,100}$")]
 """``JOB/NAME`` of an artefact of an earlier job."""
 

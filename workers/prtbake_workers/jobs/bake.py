@@ -164,7 +164,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 else planned.header["bounces"]["n_channels"],
                 albedo=factorisation.albedo,
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
-                albedo_texture=planned.albedo_texture if index == 0 else None,
+                albedo_texture=planned.textures[index],
                 factorisation=factorisation.tables(),
             )
         )

@@ -4,17 +4,15 @@ from dataclasses import asdict
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.brdf import LambertSpec
-from prtbake_storage.contract.settings import Effects, Quality, ReceiverPlane
-from prtbake_storage.errors import SettingsError
+from prtbake_storage.contract.settings import Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.jobs.inputs import load_brdf, load_mesh, load_texture, versions
+from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
+from prtbake_workers.jobs.materials import part_inputs
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
     reflection_of,
@@ -63,34 +61,19 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     settings = StageSettings.from_dict(args["settings"])
     check_bandwidth(settings.bake)
     mesh, report = load_mesh(store, args["mesh"])
-    meshes, specs, names = [mesh], [args["brdf"]], ["object"]
-    if args["receiver"] is not None:
-        receiver = ReceiverPlane.model_validate(args["receiver"])
-        meshes.append(
-            receiver_plane(
-                mesh.bounds,
-                resolution=receiver.resolution,
-                extent=receiver.extent,
-                gap=receiver.gap,
-            )
-        )
-        material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
-        specs.append(material.model_dump(mode="json"))
-        names.append("receiver")
-    texture = None
-    if args["albedo_texture"] is not None:
-        _check_texture(specs[0], mesh.uv is not None)
-        texture = load_texture(store, args["albedo_texture"])
+    parts = part_inputs(args, mesh, store)
+    meshes, names = [part.mesh for part in parts], [part.name for part in parts]
+    textures = tuple(part.albedo_texture for part in parts)
     scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
     requested = Effects.model_validate(args["effects"])
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
     factorisations = tuple(
         factorise(
-            load_brdf(store, spec),
+            load_brdf(store, part.brdf),
             n_terms=n_terms,
             energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
         )
-        for spec in specs
+        for part in parts
     )
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     effects = decide_effects(
@@ -98,7 +81,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scene,
         Accelerator(scene.positions, scene.faces),
         factorisations=factorisations,
-        albedo=reflection_of(scene, factorisations, texture)[1],
+        albedo=reflection_of(scene, factorisations, textures)[1],
         bake=settings.bake,
         watertight=bool(report.get("watertight", False)),
         requested=requested,
@@ -123,8 +106,13 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         "bake": settings.bake.model_dump(mode="json"),
         "bounces": bounces,
         "parts": [
-            {"name": name, "material": spec, "occluders": list(part.occluders)}
-            for name, spec, part in zip(names, specs, plan.parts, strict=True)
+            {
+                "name": part.name,
+                "role": part.role,
+                "material": part.brdf,
+                "occluders": list(planned.occluders),
+            }
+            for part, planned in zip(parts, plan.parts, strict=True)
         ],
         "provenance": {
             "inputs": {name: args[name] for name in ("mesh", "brdf", "albedo_texture", "receiver")},
@@ -138,7 +126,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
-    return PlannedScene(scene, factorisations, texture, header), plan
+    return PlannedScene(scene, factorisations, textures, header), plan
 
 
 REPAIRS = {
@@ -154,19 +142,6 @@ REPAIRS = {
 def repairs(report: dict[str, Any]) -> list[str]:
     """Say what parsing had to mend in the mesh."""
     return [f"mesh: {report[name]} {what}" for name, what in REPAIRS.items() if report.get(name)]
-
-
-def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
-    if spec["model"] != "lambert":
-        raise SettingsError(
-            "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
-            pointer="/albedo_texture",
-        )
-    if not has_uv:
-        raise SettingsError(
-            "an albedo texture needs texture coordinates, which the mesh lacks",
-            pointer="/albedo_texture",
-        )
 
 
 def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:

@@ -24,7 +24,7 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 
 @dataclass(frozen=True)
 class PlannedScene:
-    """Geometry, factorised materials and the plan's header.
+    """Geometry, factorised materials, albedo textures part by part, and the plan's header.
 
     ``header`` holds ``bake`` (settings), ``parts`` (name, material, occluders), ``bounces`` (their
     channels; None where none is simulated), ``provenance``.
@@ -32,7 +32,7 @@ class PlannedScene:
 
     scene: Scene
     factorisations: tuple[Factorisation, ...]
-    albedo_texture: F32 | None
+    textures: tuple[F32 | None, ...]
     header: Mapping[str, Any]
 
     def basis(self) -> SrbfBasis:
@@ -45,7 +45,7 @@ class PlannedScene:
         Factorisations, and the albedo beside them: see `BounceGather`.  Without channels of their
         own colours share their mean.
         """
-        factorisations, albedo = reflection_of(self.scene, self.factorisations, self.albedo_texture)
+        factorisations, albedo = reflection_of(self.scene, self.factorisations, self.textures)
         if self.header["bounces"]["n_channels"] == 3:
             return factorisations, albedo
         return tuple(own.greyed() for own in factorisations), albedo.greyed()
@@ -58,13 +58,11 @@ class PlannedScene:
 def reflection_of(
     scene: Scene,
     factorisations: Sequence[Factorisation],
-    texture: Float32[F32, "height width 3"] | None,
+    textures: Sequence[Float32[F32, "_ _ 3"] | None],
 ) -> tuple[tuple[Factorisation, ...], Albedo]:
-    """Pair factorisations with the albedo beside them; the texture is that of the first part."""
+    """Pair factorisations with the albedo beside them."""
     albedo = Albedo.of_parts(
-        scene,
-        [own.albedo.astype(np.float64) for own in factorisations],
-        [texture, *[None] * (len(factorisations) - 1)],
+        scene, [own.albedo.astype(np.float64) for own in factorisations], textures
     )
     return tuple(factorisations), albedo
 
@@ -115,8 +113,9 @@ def write_scene(path: Path, planned: PlannedScene) -> Path:
     arrays: dict[str, NDArray[Any]] = {name: getattr(scene, name) for name in _SCENE_ARRAYS}
     if scene.uv is not None:
         arrays["uv"] = scene.uv
-    if planned.albedo_texture is not None:
-        arrays["albedo_texture"] = planned.albedo_texture
+    for index, texture in enumerate(planned.textures):
+        if texture is not None:
+            arrays[f"albedo_texture{index}"] = texture
     tables: list[dict[str, Any]] = []
     for index, factorisation in enumerate(planned.factorisations):
         plain = {}
@@ -146,4 +145,5 @@ def read_scene(path: Path) -> PlannedScene:
         prefix = f"factorisation{index}/"
         own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
         factorisations.append(Factorisation.from_tables(own | plain))
-    return PlannedScene(scene, tuple(factorisations), arrays.get("albedo_texture"), header)
+    textures = tuple(arrays.get(f"albedo_texture{index}") for index in range(len(factorisations)))
+    return PlannedScene(scene, tuple(factorisations), textures, header)

@@ -1,0 +1,63 @@
+"""What a surface is made of, as requests say it."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from prtbake_storage.contract.base import Digest, Positive, ResourceId, Vec3, Wire
+from prtbake_storage.contract.brdf import BrdfSpec
+
+Coefficient = Annotated[float, Field(ge=0.0, le=1e9)]
+"""Of scattering or absorption, per millimetre."""
+
+Coefficients = Coefficient | tuple[Coefficient, Coefficient, Coefficient]
+"""One for all colours, or three for linear Rec.709."""
+
+MediumName = Literal[
+    "apple", "chicken1", "chicken2", "cream", "ketchup", "marble", "potato", "skim_milk", "skin1",
+    "skin2", "spectralon", "whole_milk",
+]  # fmt: skip
+"""Media whose coefficients [Jensen2001]_ measured."""
+
+
+class Subsurface(Wire):
+    """Light that scatters inside: a measured ``medium``, or ``scattering`` and ``absorption``.
+
+    A diffuse surface then sends what the dipole of [Jensen2001]_ lets out of it; the BRDF, which
+    must be Lambert, tints that by its albedo.
+    """
+
+    mm_per_unit: Positive
+    """Millimetres to a unit of the mesh: the coefficients are lengths."""
+    medium: MediumName | None = None
+    scattering: Coefficients | None = None
+    """Reduced scattering coefficient per millimetre."""
+    absorption: Coefficients | None = None
+    """Per millimetre."""
+    eta: Annotated[float, Field(ge=1.0, le=2.5)] | None = None
+    """Index of refraction; null is that of the medium, or 1.3."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "Subsurface":
+        given = self.scattering is not None and self.absorption is not None
+        some = self.scattering is not None or self.absorption is not None
+        if self.medium is not None and (some or self.eta is not None):
+            raise ValueError("a medium brings its own coefficients: state it or them, not both")
+        if self.medium is None and not given:
+            raise ValueError("state a medium, or both scattering and absorption")
+        return self
+
+
+Tangents = Literal["horizontal", "uv"] | Vec3
+"""Where tangents point: horizontally, along u of the texture coordinates, or along a direction."""
+
+
+class Material(Wire):
+    """What one group of a mesh's faces is made of."""
+
+    brdf: ResourceId | BrdfSpec
+    albedo_texture: Digest | None = None
+    """Multiplies the reflectance of a Lambert BRDF."""
+    subsurface: Subsurface | None = None
+    tangents: Tangents = "horizontal"
+    """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""

@@ -1,0 +1,73 @@
+"""The parts of a scene before it is planned: triangles, and what they are made of."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from prtbake_storage.blobs.base import BlobStore
+from prtbake_storage.contract.brdf import LambertSpec
+from prtbake_storage.contract.settings import ReceiverPlane
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F32
+from prtbake_workers.geometry.mesh import Mesh
+from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.jobs.inputs import load_texture
+
+
+@dataclass(frozen=True, eq=False)
+class PartInput:
+    """One part.
+
+    Attributes
+    ----------
+    role
+        Parts of the object shadow each other as one shape; the receiver is what it stands on.
+    brdf
+        Stored spec, see `load_brdf`.
+    albedo_texture
+        Linear, (height, width, 3); None for none.
+    """
+
+    name: str
+    role: Literal["object", "receiver"]
+    mesh: Mesh
+    brdf: dict[str, Any]
+    albedo_texture: F32 | None = None
+
+
+def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
+    """Make the parts that a plan's arguments describe: the object, then its receiver.
+
+    Raises
+    ------
+    SettingsError
+        An albedo texture that nothing can be done with.
+    """
+    texture = None
+    if args["albedo_texture"] is not None:
+        _check_texture(args["brdf"], mesh.uv is not None)
+        texture = load_texture(store, args["albedo_texture"])
+    parts = [PartInput("object", "object", mesh, args["brdf"], texture)]
+    if args["receiver"] is not None:
+        receiver = ReceiverPlane.model_validate(args["receiver"])
+        plane = receiver_plane(
+            mesh.bounds,
+            resolution=receiver.resolution,
+            extent=receiver.extent,
+            gap=receiver.gap,
+        )
+        material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
+        parts.append(PartInput("receiver", "receiver", plane, material.model_dump(mode="json")))
+    return parts
+
+
+def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
+    if spec["model"] != "lambert":
+        raise SettingsError(
+            "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
+            pointer="/albedo_texture",
+        )
+    if not has_uv:
+        raise SettingsError(
+            "an albedo texture needs texture coordinates, which the mesh lacks",
+            pointer="/albedo_texture",
+        )
