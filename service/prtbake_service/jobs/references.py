@@ -98,6 +98,12 @@ class Resolver:
                     pointer="/albedo_texture",
                 )
             self.require_upload(request.albedo_texture, "/albedo_texture")
+        if request.subsurface is not None and brdf["spec"].get("model") != "lambert":
+            raise SettingsError(
+                "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the "
+                "medium",
+                pointer="/subsurface",
+            )
         return {"mesh": mesh, "brdf": brdf, "albedo_texture": request.albedo_texture}
 
     def _resource(self, kind: str, resource_id: str) -> Context:

@@ -8,6 +8,7 @@ from pydantic import Field, TypeAdapter, field_validator
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
 from prtbake_storage.contract.brdf import BrdfSpec, check_isotropic
+from prtbake_storage.contract.materials import Subsurface
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
@@ -56,6 +57,8 @@ class _SceneRequest(_Request):
     mesh: ResourceId
     brdf: ResourceId | BrdfSpec
     albedo_texture: Digest | None = None
+    subsurface: Subsurface | None = None
+    """Light that scatters inside the object, whose BRDF is then Lambert."""
     receiver: ReceiverPlane | None = None
     effects: Effects = Effects()
 

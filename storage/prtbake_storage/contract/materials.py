@@ -45,7 +45,21 @@ class Subsurface(Wire):
             raise ValueError("a medium brings its own coefficients: state it or them, not both")
         if self.medium is None and not given:
             raise ValueError("state a medium, or both scattering and absorption")
+        if given and not all(any(pair) for pair in zip(*self.coefficients, strict=True)):
+            raise ValueError("scattering and absorption are both zero: light meets nothing")
         return self
+
+    @property
+    def coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Scattering and absorption as stated, with equally many channels; none of a medium."""
+        given = [
+            value if isinstance(value, tuple) else (value,)
+            for value in (self.scattering, self.absorption)
+            if value is not None
+        ]
+        n_channels = max((len(value) for value in given), default=0)
+        spread = [value if len(value) == n_channels else value * n_channels for value in given]
+        return (spread[0], spread[1]) if len(spread) == 2 else ((), ())
 
 
 Tangents = Literal["horizontal", "uv"] | Vec3

@@ -32,6 +32,8 @@ class Effects(Wire):
     """Light that bounces between surfaces."""
     colour_bleeding: Switch = "auto"
     """Bounced light of each colour by itself."""
+    subsurface_scattering: Switch = "auto"
+    """Light that enters a part with a medium in one place and leaves it in another."""
 
 
 class ReceiverPlane(Wire):
@@ -64,7 +66,8 @@ class BakeSettings(Wire):
 
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
     Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
-    squared-error ratio in radiance norm) or ``max_bounces`` are done.
+    squared-error ratio in radiance norm) or ``max_bounces`` are done.  Parts with a medium whose
+    scattering moves no more than ``subsurface_tolerance`` of their light reflect it where it falls.
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
@@ -85,6 +88,8 @@ class BakeSettings(Wire):
     """The last of them, whatever it adds."""
     bounce_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
     """A bounce that adds less than this is the last: squared, relative."""
+    subsurface_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
+    """Scattering that moves less than this of a part's light is left out: squared, relative."""
     frame_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     """Turns the tangent frames at random, which should change nothing."""
     tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None

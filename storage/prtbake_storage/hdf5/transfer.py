@@ -37,12 +37,14 @@ class TransferPart(Surface):
     """All of a part but its coefficients.
 
     ``areas`` (verts,) weigh errors over the surface; ``frames`` (verts, 3, 3) or None for a
-    constant phi; ``n_terms`` the terms K of the BRDF's factorisation, whatever ``n_channels``.
+    constant phi; ``n_terms`` the terms K of the BRDF's factorisation, whatever ``n_channels``;
+    ``subsurface`` what scatters inside, as requests say it, or None.
     """
 
     areas: F64
     n_terms: int
     frames: F64 | None = None
+    subsurface: Mapping[str, Any] | None = None
 
     @property
     def n_rows(self) -> int:
@@ -126,6 +128,8 @@ def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[P
             h5.put(group, "areas", part.areas.astype(np.float64), "verts", unit="scene^2")
             if part.frames is not None:
                 h5.put(group, "frames", part.frames.astype(np.float64), "verts axes xyz")
+            if part.subsurface is not None:
+                h5.put_json(group, "subsurface", dict(part.subsurface))
             _join_part(group, part, len(header.centres), paths)
         h5.put_json(file, "provenance", dict(header.provenance))
 
@@ -207,7 +211,8 @@ def _get_part(group: h5py.Group, n_coeffs: int) -> TransferPart:
     frames = None
     if h5.has(group, "frames"):
         frames = h5.get(group, "frames", "f", (verts, 3, 3)).astype(np.float64)
-    return TransferPart(**surface, areas=areas, n_terms=n_terms, frames=frames)
+    medium = h5.get_object(group, "subsurface") if h5.has(group, "subsurface") else None
+    return TransferPart(**surface, areas=areas, n_terms=n_terms, frames=frames, subsurface=medium)
 
 
 def _stored_chunk(source: h5py.Dataset, start: int) -> tuple[int, bytes]:

@@ -174,6 +174,15 @@ class Factorisation:
             brdf=None,
         )
 
+    def tinted(self, colour: Float64[F64, " _"]) -> "Factorisation":
+        """Multiply phi by a colour of one channel or three; psi and the values stay."""
+        return replace(
+            self,
+            phi_radial=self.phi_radial * colour,
+            phi_table=self.phi_table * colour.astype(np.float32),
+            brdf=None,
+        )
+
     def tables(self) -> dict[str, Any]:
         """Give everything but the BRDF as small arrays and plain values, for storage."""
         return {

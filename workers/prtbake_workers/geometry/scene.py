@@ -72,6 +72,21 @@ class Scene:
             ),
         )
 
+    def part(self, index: int) -> "Scene":
+        """Give one part as a scene of its own: what is left when all others are taken away."""
+        start, stop = self.part_ranges[index]
+        own = self.part_of_face == index
+        return Scene(
+            positions=self.positions[start:stop],
+            faces=(self.faces[own] - start).astype(np.int32),
+            normals=self.normals[start:stop],
+            frames=self.frames[start:stop],
+            areas=self.areas[start:stop],
+            uv=None if self.uv is None else self.uv[start:stop],
+            part_ranges=((0, stop - start),),
+            part_of_face=np.zeros(int(own.sum()), np.int32),
+        )
+
     @cached_property
     def bounds(self) -> Float64[F64, "2 3"]:
         """Lower and upper corner of the bounding box."""

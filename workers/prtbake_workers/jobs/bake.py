@@ -165,6 +165,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 albedo=factorisation.albedo,
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
                 albedo_texture=planned.textures[index],
+                subsurface=part["subsurface"],
                 factorisation=factorisation.tables(),
             )
         )

@@ -1,7 +1,8 @@
-"""Stages ``bounces`` and ``add_bounces`` of a bake: light that surfaces send to each other.
+"""Stages ``bounces`` and ``add_bounces`` of a bake: light between surfaces and inside them.
 
 Coefficients do not mix, so a task makes all bounces of some coefficients for the whole scene; what
-they add is then laid over the tiles of direct transfer, vertex block by vertex block.
+they add is then laid over the tiles of direct transfer, vertex block by vertex block.  Tiles of
+parts that scatter light inside take what leaves them instead.
 """
 
 from typing import Any
@@ -15,10 +16,13 @@ from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.jobs.scene_file import read_scene
 from prtbake_workers.transport.bounces import bounce_block
+from prtbake_workers.transport.part_scattering import PartScattering
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.transport.surface import OpaqueSurface
 
 _MODULE = "prtbake_workers.jobs.bounce"
+COARSE = 0.25
+"""Mean free path over the distance of vertices below which a note says so."""
 
 
 def stages() -> list[Stage]:
@@ -87,7 +91,7 @@ def grouped_tiles(results: Results, stage: str) -> list[list[str]]:
 
 
 def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: all bounces of a block of coefficients."""
+    """Task: all bounces and all scattering of a block of coefficients."""
     planned = read_scene(context.store.local_path(args["scene"]))
     scene = planned.scene
     start, stop = args["columns"]
@@ -101,6 +105,13 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for tiles in args["tiles"]
     ]
     factorisations, albedo = planned.reflection()
+    seed = planned.header["provenance"]["seed"]
+    scattering = [
+        None
+        if dipole is None
+        else PartScattering(scene.part(part), dipole, scratch=context.scratch)
+        for part, dipole in enumerate(map(planned.scattering, range(len(direct))))
+    ]
     block = bounce_block(
         OpaqueSurface(scene, Accelerator(scene.positions, scene.faces, robust=True)),
         direct,
@@ -108,9 +119,10 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         albedo=albedo,
         n_channels=planned.header["bounces"]["n_channels"],
         n_rays=args["n_rays"],
-        seed=planned.header["provenance"]["seed"],
+        seed=seed,
         max_bounces=args["max_bounces"],
         tolerance=args["tolerance"],
+        scattering=scattering,
         progress=lambda done, total: context.progress(done, total, "bounces"),
     )
     packed, rounding = [], []
@@ -128,6 +140,17 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "is_bound": block.is_bound,
         "noise": block.noise_energy.tolist(),
         "rounding": rounding,
+        "scattering": [
+            None
+            if own is None
+            else {
+                "error": energy * own.measured_error(direct[part][:, 0], seed=seed),
+                **own.report.to_dict(),
+            }
+            for part, (own, energy) in enumerate(
+                zip(scattering, block.total_energy.tolist(), strict=True)
+            )
+        ],
         # rays are the same in every block: each reports those it traced
         "counters": block.counters,
     }
@@ -140,16 +163,24 @@ def add_bounces(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     n_channels = args["n_channels"]
     first = planned.scene.part_ranges[args["part"]][0]
     span = args["start"] - first, args["stop"] - first
+    medium = planned.scattering(args["part"])
     total = np.tile(direct, (1, n_channels, 1))
+    if medium is not None:
+        total[:] = 0.0
     for block in args["blocks"]:
         columns = slice(*block["columns"])
         path = context.store.local_path(block["bounces"])
         total[:, :, columns] += read_bounces(path, args["part"], *span)
     packed = quantise_transfer(total)
-    # what the projection lost is direct light's, once a channel
-    gained = _energy(total) - n_channels * _energy(direct)
-    signal = n_channels * energies.signal + gained
-    residual = n_channels * energies.residual
+    # what the projection lost is direct light's, once a channel, or what a medium gives back of it
+    if medium is None:
+        gained = _energy(total) - n_channels * _energy(direct)
+        signal = n_channels * energies.signal + gained
+        residual = n_channels * energies.residual
+    else:
+        albedo = np.broadcast_to(medium.diffuse_albedo, n_channels)
+        residual = float(albedo @ albedo) * energies.residual
+        signal = _energy(total) + residual
     path = context.scratch / "tile.h5"
     write_transfer_tile(
         path, packed.values, scale=packed.scale, signal_energy=signal, residual_energy=residual
@@ -170,24 +201,32 @@ def errors(results: Results) -> dict[str, float]:
     """Give the squared-error ratios of the bounces over each part's signal, as it is stored.
 
     ``left out`` bounds what comes after the last bounce where all parts are diffuse, and estimates
-    it elsewhere; ``rays`` is what their number leaves to chance in the first bounce.
+    it elsewhere; ``rays`` is what their number leaves to chance in the first bounce, and
+    ``scattering`` what clusters and cut leave of the light that scatters inside, measured at a few
+    vertices of its direct light.
     """
     blocks = results["bounces"]
     found: dict[str, float] = {}
     if not blocks:
         return found
+    planned = results["plan"][0]["plan"]["bounces"]
     for index, part in enumerate(results["plan"][0]["plan"]["parts"]):
         total = sum(block["total"][index] for block in blocks)
-        for label, name in (("rays", "noise"), ("16-bit", "rounding"), ("left out", "left_out")):
+        # where no bounce is simulated there are neither rays nor bounces to leave out
+        bounced = (("rays", "noise"), ("left out", "left_out")) if planned["max_bounces"] else ()
+        for label, name in (*bounced, ("16-bit", "rounding")):
             if total and all(block[name] is not None for block in blocks):
                 share = sum(block[name][index] for block in blocks) / total
                 found[f"{part['name']} {label}"] = share
+        if total and index in planned["scattering"]:
+            share = sum(block["scattering"][index]["error"] for block in blocks) / total
+            found[f"{part['name']} scattering"] = share
     return found
 
 
 def account(results: Results, plan: dict[str, Any]) -> dict[str, Any] | None:
     """Tell what each bounce added to each part, over its energy; None where there was none."""
-    if plan["bounces"] is None:
+    if plan["bounces"] is None or not plan["bounces"]["max_bounces"]:
         return None
     blocks = results["bounces"]
     most = max((len(block["energies"]) for block in blocks), default=0)
@@ -212,9 +251,33 @@ def account(results: Results, plan: dict[str, Any]) -> dict[str, Any] | None:
     }
 
 
+def scattering_notes(results: Results, plan: dict[str, Any]) -> list[str]:
+    """Say of each part that scatters light inside how far, and by how many rows."""
+    found = []
+    for part in plan["bounces"]["scattering"] if plan["bounces"] else ():
+        # every block builds the same rows
+        report = results["bounces"][0]["scattering"][part]
+        paths, resolution, albedo = (
+            ", ".join(f"{value:.3g}" for value in report[name])
+            for name in ("mean_free_path", "resolution", "albedo")
+        )
+        name = plan["parts"][part]["name"]
+        found.append(
+            f"{name} scatters light inside: mean free path {paths} in scene units, {resolution} "
+            f"times the distance of vertices; it gives back {albedo} of even light; "
+            f"{report['clusters']:.0f} clusters and {report['triangles']:.0f} triangles a vertex"
+        )
+        if max(report["resolution"]) < COARSE:
+            found.append(
+                f"{name}: its vertices are far apart for the mean free path; between them light "
+                "is interpolated"
+            )
+    return found
+
+
 def notes(results: Results, plan: dict[str, Any]) -> list[str]:
     """Say where bounces were cut before the tolerance, or nothing bounds what they leave."""
-    if plan["bounces"] is None:
+    if plan["bounces"] is None or not plan["bounces"]["max_bounces"]:
         return []
     found, blocks, tolerance = [], results["bounces"], plan["bounces"]["tolerance"]
     last = max(

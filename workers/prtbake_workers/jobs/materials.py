@@ -25,6 +25,8 @@ class PartInput:
         Stored spec, see `load_brdf`.
     albedo_texture
         Linear, (height, width, 3); None for none.
+    subsurface
+        What scatters inside, a `Subsurface` as JSON; None for nothing.
     """
 
     name: str
@@ -32,6 +34,7 @@ class PartInput:
     mesh: Mesh
     brdf: dict[str, Any]
     albedo_texture: F32 | None = None
+    subsurface: dict[str, Any] | None = None
 
 
 def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
@@ -40,13 +43,18 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
     Raises
     ------
     SettingsError
-        An albedo texture that nothing can be done with.
+        An albedo texture or a medium that nothing can be done with.
     """
     texture = None
     if args["albedo_texture"] is not None:
         _check_texture(args["brdf"], mesh.uv is not None)
         texture = load_texture(store, args["albedo_texture"])
-    parts = [PartInput("object", "object", mesh, args["brdf"], texture)]
+    if args["subsurface"] is not None and args["brdf"]["model"] != "lambert":
+        raise SettingsError(
+            "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the medium",
+            pointer="/subsurface",
+        )
+    parts = [PartInput("object", "object", mesh, args["brdf"], texture, args["subsurface"])]
     if args["receiver"] is not None:
         receiver = ReceiverPlane.model_validate(args["receiver"])
         plane = receiver_plane(

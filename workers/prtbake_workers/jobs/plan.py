@@ -13,6 +13,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
 from prtbake_workers.jobs.materials import part_inputs
+from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
     reflection_of,
@@ -22,11 +23,15 @@ from prtbake_workers.jobs.scene_file import (
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.subsurface import decide_subsurface
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.surface import OpaqueSurface
 
 _MODULE = "prtbake_workers.jobs.plan"
 MEMORY_BYTES = 12 << 30
 CPU_SECONDS = 900
+INPUTS = ("mesh", "brdf", "albedo_texture", "subsurface", "receiver")
+"""Arguments that say what a scene is made of."""
 
 
 def arguments(
@@ -37,6 +42,7 @@ def arguments(
         "mesh": context["mesh"]["canonical"],
         "brdf": context["brdf"]["spec"],
         "albedo_texture": context.get("albedo_texture"),
+        "subsurface": request.get("subsurface"),
         "receiver": request.get("receiver"),
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
@@ -76,16 +82,34 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         for part in parts
     )
     part_terms = [factorisation.n_terms for factorisation in factorisations]
+    accelerator = Accelerator(scene.positions, scene.faces)
+    media = [None if part.subsurface is None else make_dipole(part.subsurface) for part in parts]
+    scattering = decide_subsurface(
+        OpaqueSurface(scene, accelerator),
+        media,
+        settings.bake,
+        requested.subsurface_scattering,
+        seed=args["seed"] + 5,
+    )
+    # what a medium gives back of even light, where it falls: all of a part that does not scatter
+    within = tuple(
+        own if medium is None else own.tinted(medium.diffuse_albedo)
+        for own, medium in zip(factorisations, media, strict=True)
+    )
     effects = decide_effects(
         meshes,
         scene,
-        Accelerator(scene.positions, scene.faces),
-        factorisations=factorisations,
-        albedo=reflection_of(scene, factorisations, textures)[1],
+        accelerator,
+        factorisations=within,
+        albedo=reflection_of(scene, within, textures)[1],
         bake=settings.bake,
         watertight=bool(report.get("watertight", False)),
         requested=requested,
         seed=args["seed"],
+        subsurface=scattering.decision,
+    )
+    factorisations = tuple(
+        (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
     notes = [factorisation.note for factorisation in factorisations if factorisation.note]
     plan = make_plan(
@@ -98,6 +122,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[*notes, *repairs(report), *report.get("warnings", [])],
+        media={part: own for part, own in enumerate(media) if own and part in scattering.parts},
     )
     bounces = None
     if plan.bounces is not None:
@@ -110,19 +135,21 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
                 "name": part.name,
                 "role": part.role,
                 "material": part.brdf,
+                "subsurface": part.subsurface,
                 "occluders": list(planned.occluders),
             }
             for part, planned in zip(parts, plan.parts, strict=True)
         ],
         "provenance": {
-            "inputs": {name: args[name] for name in ("mesh", "brdf", "albedo_texture", "receiver")},
+            "inputs": {name: args[name] for name in INPUTS},
             "bake": settings.bake.model_dump(mode="json"),
             "quality": args["quality"],
             "tiles": [[list(tile) for tile in part.tiles] for part in plan.parts],
             "seed": args["seed"],
             "versions": versions(),
             "effects": [decision.to_dict() for decision in effects],
-            "interreflection": bounces,
+            "interreflection": bounces if bounces and bounces["max_bounces"] else None,
+            "scattering": list(scattering.parts),
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }

@@ -58,7 +58,9 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
         "numerics": _numerics(results),
         "bounces": bounce.account(results, plan) if plan else None,
-        "bounce_notes": bounce.notes(results, plan) if plan else [],
+        "bounce_notes": bounce.scattering_notes(results, plan) + bounce.notes(results, plan)
+        if plan
+        else [],
         "light_notes": results["fit_light"][0]["notes"] if "fit_light" in results else [],
         "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
         "sizes": {

@@ -16,7 +16,9 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.dipole import Dipole
 
 SUBDIVISIONS = {12: 0, 42: 1, 162: 2, 642: 3, 2562: 4, 10242: 5}
 _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_face")
@@ -26,8 +28,8 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 class PlannedScene:
     """Geometry, factorised materials, albedo textures part by part, and the plan's header.
 
-    ``header`` holds ``bake`` (settings), ``parts`` (name, material, occluders), ``bounces`` (their
-    channels; None where none is simulated), ``provenance``.
+    ``header`` holds ``bake`` (settings), ``parts`` (name, material, medium, occluders), ``bounces``
+    (their channels, the parts that scatter; None where neither is simulated), ``provenance``.
     """
 
     scene: Scene
@@ -46,9 +48,15 @@ class PlannedScene:
         own colours share their mean.
         """
         factorisations, albedo = reflection_of(self.scene, self.factorisations, self.textures)
-        if self.header["bounces"]["n_channels"] == 3:
+        if self.header["bounces"]["coloured"]:
             return factorisations, albedo
         return tuple(own.greyed() for own in factorisations), albedo.greyed()
+
+    def scattering(self, part: int) -> Dipole | None:
+        """Make the dipole of a part whose scattering is simulated; None for any other."""
+        if part not in self.header["bounces"]["scattering"]:
+            return None
+        return make_dipole(self.header["parts"][part]["subsurface"])
 
     def occluders(self, part: int) -> Accelerator | None:
         """Make the accelerator of the triangles that may block light on its way to a part."""

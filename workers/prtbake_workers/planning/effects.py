@@ -22,6 +22,7 @@ from prtbake_workers.geometry.topology import count_components, find_edges
 from prtbake_workers.planning.decision import Decision, settle
 from prtbake_workers.planning.interreflection import decide_bounces
 from prtbake_workers.planning.probe import draw_by_area
+from prtbake_workers.planning.subsurface import NOTHING_SCATTERS
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.surface import OpaqueSurface
 
@@ -107,10 +108,12 @@ def decide_effects(
     bake: BakeSettings,
     requested: Effects,
     seed: int,
+    subsurface: Decision = NOTHING_SCATTERS,
 ) -> list[Decision]:
     """Decide effect by effect for an object (part 0) and, where there is one, its receiver.
 
-    ``albedo`` is what multiplies the light that each point sends, see `BounceGather`.
+    ``albedo`` is what multiplies the light that each point sends, see `BounceGather`; of parts with
+    a medium it holds the medium's, whatever ``subsurface`` decided before.
     """
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
@@ -138,17 +141,7 @@ def decide_effects(
         requested,
         seed=seed + 3,
     )
-    decisions.append(
-        Decision(
-            effect="subsurface_scattering",
-            taken=False,
-            forced=False,
-            reason="not simulated by this version: reference and asset both leave it out, so the "
-            "error budget does not hold it",
-            evidence={},
-        )
-    )
-    return decisions
+    return [*decisions, subsurface]
 
 
 def _self_shadowing(

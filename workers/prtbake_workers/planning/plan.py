@@ -1,9 +1,10 @@
 """The plan of a job: parts, effects, tiles, and what they are expected to cost."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from math import ceil, log
+from types import MappingProxyType
 from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
@@ -20,12 +21,14 @@ from prtbake_workers.planning.cost import (
     fit_seconds,
     part_cost,
     plan_memory_bytes,
+    scattering_seconds,
     tile_memory_bytes,
     tile_vertices,
     validate_seconds,
 )
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.presets import PartCompression, StageSettings, resolve_compression
+from prtbake_workers.transport.dipole import Dipole
 
 DIRECTIONS_A_CENTRE = 2.5
 """With fewer the sampled Gram matrix is off the identity by more than 0.05 (RMS over the basis)."""
@@ -56,16 +59,19 @@ class PartPlan:
 
 @dataclass(frozen=True)
 class BouncePlan:
-    """How light that surfaces send to each other is simulated.
+    """How light that surfaces send to each other, and that scatters inside them, is simulated.
 
     ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
-    has bounces of its own.
+    has bounces of its own, as ``coloured`` says, or a medium has colours.  Parts in ``scattering``
+    scatter light inside; ``max_bounces`` is 0 where that is all there is.
     """
 
     n_channels: int
+    coloured: bool
     n_rays: int
     max_bounces: int
     tolerance: float
+    scattering: tuple[int, ...]
     blocks: tuple[tuple[int, int], ...]
 
 
@@ -133,13 +139,21 @@ def resolution_notes(bake: BakeSettings) -> list[str]:
 
 
 def plan_bounces(
-    scene: Scene, part_terms: list[int], effects: list[Decision], bake: BakeSettings
+    scene: Scene,
+    part_terms: list[int],
+    effects: list[Decision],
+    bake: BakeSettings,
+    media: Mapping[int, Dipole],
 ) -> BouncePlan | None:
-    """Cut the coefficients into blocks of about `BLOCK_BYTES`, at least two where there are two."""
+    """Cut the coefficients into blocks of about `BLOCK_BYTES`, at least two where there are two.
+
+    ``media`` are those of the parts that scatter.
+    """
     taken = {decision.effect: decision.taken for decision in effects}
-    if not taken["interreflection"]:
+    if not (taken["interreflection"] or media):
         return None
-    n_channels = 3 if taken["colour_bleeding"] else 1
+    coloured = taken["colour_bleeding"]
+    n_channels = 3 if coloured else max((own.n_channels for own in media.values()), default=1)
     rows = sum(
         (stop - start) * n_terms
         for (start, stop), n_terms in zip(scene.part_ranges, part_terms, strict=True)
@@ -149,15 +163,19 @@ def plan_bounces(
     edges = [round(i * bake.n_centres / n_blocks) for i in range(n_blocks + 1)]
     return BouncePlan(
         n_channels=n_channels,
+        coloured=coloured,
         n_rays=bake.bounce_rays,
-        max_bounces=bake.max_bounces,
+        max_bounces=bake.max_bounces if taken["interreflection"] else 0,
         tolerance=bake.bounce_tolerance,
+        scattering=tuple(sorted(media)),
         blocks=tuple(pairwise(edges)),
     )
 
 
 def expected_bounces(decided: Decision, bounces: BouncePlan) -> int:
     """Predict how many bounces the tolerance asks for, from what the first one adds."""
+    if bounces.max_bounces == 0:
+        return 0
     share = decided.evidence["first_bounce_share"]
     if not 0.0 < share < 1.0 or bounces.tolerance == 0.0:
         return bounces.max_bounces
@@ -175,13 +193,15 @@ def make_plan(
     chunk_vertices: Callable[[int, int], int],
     spectra: Sequence[Float64[F64, " _"]],
     notes: list[str],
+    media: Mapping[int, Dipole] = MappingProxyType({}),
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
-    ``spectra`` the singular values of each part's BRDF.
+    ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts whose
+    scattering is simulated.
     """
-    bounces = plan_bounces(scene, part_terms, effects, settings.bake)
+    bounces = plan_bounces(scene, part_terms, effects, settings.bake, media)
     n_channels = 1 if bounces is None else bounces.n_channels
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
@@ -235,21 +255,33 @@ def make_plan(
             settings.validation,
             n_terms=max(part_terms),
             n_dirs=3 * settings.bake.cube_resolution**2,
-            baked_bounces=bounces is not None,
+            baked_bounces=bounces is not None and bounces.max_bounces > 0,
         ),
     }
     if bounces is not None:
         (decided,) = (one for one in effects if one.effect == "interreflection")
-        seconds["bounces"] = bounce_seconds(
-            scene,
-            part_terms,
-            bounces=expected_bounces(decided, bounces),
-            n_rays=bounces.n_rays,
-            hit_share=decided.evidence["hit_share"],
+        expected = expected_bounces(decided, bounces)
+        seconds["bounces"] = scattering_seconds(
+            sum(
+                parts[part].vertex_range[1] - parts[part].vertex_range[0]
+                for part in bounces.scattering
+            ),
+            times=1 + expected,
             n_channels=n_channels,
             n_coeffs=settings.bake.n_centres,
             n_blocks=len(bounces.blocks),
         )
+        if bounces.max_bounces:
+            seconds["bounces"] += bounce_seconds(
+                scene,
+                part_terms,
+                bounces=expected,
+                n_rays=bounces.n_rays,
+                hit_share=decided.evidence["hit_share"],
+                n_channels=n_channels,
+                n_coeffs=settings.bake.n_centres,
+                n_blocks=len(bounces.blocks),
+            )
     return Plan(
         parts=tuple(parts),
         effects=tuple(effects),

@@ -1,7 +1,8 @@
 """All bounces of some coefficients of a scene's transfer: coefficients do not mix, so any will do.
 
 With F one bounce (`separable_bounce`) and T0 the direct transfer, bounce k adds
-``D_k = F D_(k-1)``, ``D_0 = T0``.
+``D_k = F D_(k-1)``, ``D_0 = T0``.  Where a part scatters light inside, S takes what arrives at it
+to what leaves it (`part_scattering`): ``D_k = S F D_(k-1)``, ``D_0 = S T0``.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.part_scattering import PartScattering
 from prtbake_workers.transport.separable_bounce import BounceGather
 from prtbake_workers.transport.surface import OpaqueSurface
 
@@ -38,16 +40,20 @@ class BouncedBlock:
     Attributes
     ----------
     added
-        The sum of all bounces, one array a part.
+        The sum of all bounces, one array a part; of a part that scatters all that leaves it, the
+        direct light included, in place of its direct transfer.
     direct_energy, total_energy
-        Of the direct transfer, counted once a channel, and of its sum with the bounces.
+        Of the direct transfer, counted once a channel, and of its sum with the bounces; of a part
+        that scatters both as they leave it.
     bounce_energies
         Of each bounce by itself, a row a bounce.
     remainder_energy
         Of everything after the last bounce: an upper bound where ``is_bound``, under F as it was
-        traced, else an estimate from the last two bounces.  None where bounces do not fade.
+        traced, else an estimate from the last two bounces.  None where bounces do not fade or
+        none was asked for.
     noise_energy
-        Expected squared error of the first bounce, from its rays being few.
+        Expected squared error of the first bounce, from its rays being few; of a part that
+        scatters at most so much, as scattering evens it out.
     counters
         Rays, hits and hits on backs.
     """
@@ -73,6 +79,7 @@ def bounce_block(
     seed: int,
     max_bounces: int,
     tolerance: float,
+    scattering: Sequence[PartScattering | None] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> BouncedBlock:
     """Sum the bounces of some coefficients.
@@ -86,10 +93,12 @@ def bounce_block(
     factorisations, albedo, n_channels, n_rays, seed
         As `BounceGather` takes them.
     max_bounces
-        At most so many, at least one.
+        At most so many.  None, which leaves the scattering of direct light, traces no ray.
     tolerance
         Squared-error ratio: bounces stop after the first whose energy, over that of the sum, is
         not above it on any part.  Where every block of coefficients keeps it, so does their whole.
+    scattering
+        What each part does to the light that arrives at it, None for nothing; empty for no part.
     progress
         Called with bounces done and at most to do.
 
@@ -101,19 +110,20 @@ def bounce_block(
     Raises
     ------
     SettingsError
-        No bounce is asked for, a negative tolerance, or what `BounceGather` refuses.
+        A negative number of bounces or tolerance, or what `BounceGather` and `PartScattering`
+        refuse.
 
     Notes
     -----
     The bound holds where all parts are diffuse.  With d_p the norm of row p of the last bounce, the
-    norm of row p of what follows is at most ``sum over j >= 1 of (F^j d)_p``, since F is not
-    negative (see `interreflection.bounce_series`); the sum is cut where its terms have sunk to
+    norm of row p of what follows is at most ``sum over j >= 1 of (F^j d)_p``, since neither F nor S
+    is negative (see `interreflection.bounce_series`); the sum is cut where its terms have sunk to
     `TAIL_SHARE` and its tail is added as a geometric series of its last ratio.
 
     Memory: the rays (see `BounceGather`), and the block three times a channel.
     """
-    if max_bounces < 1:
-        raise SettingsError(f"max_bounces must be at least 1, got {max_bounces}")
+    if max_bounces < 0:
+        raise SettingsError(f"max_bounces must not be negative, got {max_bounces}")
     if not tolerance >= 0.0:
         raise SettingsError(f"tolerance must not be negative, got {tolerance}")
     scene = surface.scene
@@ -128,14 +138,18 @@ def bounce_block(
     gathers = [
         gather_to(part, np.arange(start, stop), seed=seed)
         for part, (start, stop) in enumerate(scene.part_ranges)
+        if max_bounces
     ]
-    sent = [np.repeat(one[:, None], n_channels, axis=1) for one in direct]
+    media = list(scattering) or [None] * len(direct)
+    sent = _leaving(media, [np.repeat(one[:, None], n_channels, axis=1) for one in direct])
     totals = [one.copy() for one in sent]
     direct_energy = total = _energy(scene, sent)
-    noise = _noise(scene, sent, gather_to, seed)
+    noise = np.zeros(len(direct))
+    if max_bounces:
+        noise = _noise(scene, sent, gather_to, media, seed)
     energies: list[F64] = []
     while len(energies) < max_bounces and total.any():
-        sent = [gather.apply(sent) for gather in gathers]
+        sent = _leaving(media, [gather.apply(sent) for gather in gathers])
         for whole, one in zip(totals, sent, strict=True):
             whole += one
         energies.append(_energy(scene, sent))
@@ -145,24 +159,37 @@ def bounce_block(
         if (energies[-1] <= tolerance * total).all():
             break
     is_bound = all(own.is_constant_phi for own in factorisations)
-    remainder = (
-        _majorant(scene, gathers, sent) if is_bound else _geometric([direct_energy, *energies])
-    )
-    for whole, one in zip(totals, direct, strict=True):
-        whole -= one[:, None]
+    remainder = None
+    if max_bounces:
+        remainder = (
+            _majorant(scene, gathers, media, sent)
+            if is_bound
+            else _geometric([direct_energy, *energies])
+        )
+    for whole, one, medium in zip(totals, direct, media, strict=True):
+        if medium is None:
+            whole -= one[:, None]
     return BouncedBlock(
         added=tuple(totals),
         direct_energy=direct_energy,
         total_energy=total,
-        bounce_energies=np.reshape(energies, (-1, len(gathers))),
+        bounce_energies=np.reshape(energies, (-1, len(direct))),
         remainder_energy=remainder,
         is_bound=is_bound,
         noise_energy=noise,
         counters={
             name: sum(gather.counters()[name] for gather in gathers)
-            for name in gathers[0].counters()
+            for name in (gathers[0].counters() if gathers else ())
         },
     )
+
+
+def _leaving(media: Sequence[PartScattering | None], arriving: Sequence[F32]) -> list[F32]:
+    """Take what arrives at parts to what leaves them."""
+    return [
+        one if medium is None else medium.apply(one)
+        for medium, one in zip(media, arriving, strict=True)
+    ]
 
 
 def _energy(
@@ -182,7 +209,12 @@ def _norms(one: Float32[F32, "verts channels terms coeffs"]) -> Float64[F64, "ve
     return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
 
 
-def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]) -> F64 | None:
+def _majorant(
+    scene: Scene,
+    gathers: Sequence[BounceGather],
+    media: Sequence[PartScattering | None],
+    last: Sequence[F32],
+) -> F64 | None:
     """Bound the energy of everything after the last bounce; None where the series does not fade."""
     term = [_norms(one).astype(np.float32)[:, :, None, None] for one in last]
     bound = [np.zeros_like(one) for one in term]
@@ -190,7 +222,7 @@ def _majorant(scene: Scene, gathers: Sequence[BounceGather], last: Sequence[F32]
     if largest == 0.0:
         return np.zeros(len(gathers))
     for _ in range(MAX_POWERS):
-        term = [gather.apply(term) for gather in gathers]
+        term = _leaving(media, [gather.apply(term) for gather in gathers])
         for whole, one in zip(bound, term, strict=True):
             whole += one
         now = max(float(one.max(initial=0.0)) for one in term)
@@ -213,7 +245,11 @@ def _geometric(energies: Sequence[Float64[F64, " parts"]]) -> F64 | None:
 
 
 def _noise(
-    scene: Scene, sent: Sequence[F32], gather_to: Callable[..., BounceGather], seed: int
+    scene: Scene,
+    sent: Sequence[F32],
+    gather_to: Callable[..., BounceGather],
+    media: Sequence[PartScattering | None],
+    seed: int,
 ) -> Float64[F64, " parts"]:
     """Estimate the squared error of one bounce: half the squared difference of two draws."""
     total = np.zeros(len(scene.part_ranges))
@@ -227,5 +263,7 @@ def _noise(
         )
         first, second = (gather_to(part, chosen, seed=own).apply(sent) for own in (seed, seed + 1))
         difference = _norms(first - second) ** 2
+        if (medium := media[part]) is not None:
+            difference *= medium.albedo(difference.shape[1]) ** 2
         total[part] = 0.5 * float(areas.sum()) * float(difference.sum(axis=1).mean())
     return total

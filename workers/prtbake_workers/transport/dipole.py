@@ -191,6 +191,11 @@ class Dipole:
         exponents = -self.decay[:, None] * self.depths
         return np.asarray(0.5 * self.albedo * np.exp(exponents).sum(axis=1))
 
+    @property
+    def diffuse_albedo(self) -> Float64[F64, " channels"]:
+        """F R: what a wide plane under even light gives back of what falls on it."""
+        return self.entering_transmittance * self.total_reflectance
+
     def disc_reflectance(
         self, radius: Float64[F64, " samples"]
     ) -> Float64[F64, "channels samples"]:

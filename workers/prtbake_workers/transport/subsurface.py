@@ -182,12 +182,18 @@ class SubsurfaceOperator:
         return result
 
     def block(self, rows: Int64[I64, " rows"], *, with_bound: bool = False) -> SubsurfaceBlock:
-        """Build rows of the operator.
+        """Build rows of the operator: those of vertices, see `block_at`."""
+        return self.block_at(self.scene.positions[rows], with_bound=with_bound)
+
+    def block_at(
+        self, points: Float64[F64, "rows 3"], *, with_bound: bool = False
+    ) -> SubsurfaceBlock:
+        """Build the rows of any points of the surface.
 
         Parameters
         ----------
-        rows
-            Vertices; a row depends on its vertex alone, so blocks may be cut in any way.
+        points
+            A row depends on its point alone, so blocks may be cut in any way.
         with_bound
             Bound their error too.  R_d falls with distance, so over a cluster of radius s at the
             distance r it lies between R_d(r - s) and R_d(r + s): their difference times its area
@@ -195,8 +201,8 @@ class SubsurfaceOperator:
         """
         n_verts, channels = self.scene.n_vertices, self.dipole.n_channels
         entering = self.dipole.entering_transmittance
-        shape = (len(rows), n_verts + self.tree.n_nodes)
-        points = self.scene.positions[rows]
+        n_rows = len(points)
+        shape = (n_rows, n_verts + self.tree.n_nodes)
         far_rows, far_nodes, near_rows, near_nodes = self._interactions(points)
         away = points[far_rows] - self.tree.centres[far_nodes]
         areas = entering * self.tree.areas[far_nodes]
@@ -207,7 +213,7 @@ class SubsurfaceOperator:
         row = np.concatenate([far_rows, np.repeat(near_rows, 3)])
         order = np.argsort(row, kind="stable")
         columns = np.concatenate([n_verts + far_nodes, corners.ravel()])[order].astype(np.int32)
-        indptr = np.searchsorted(row[order], np.arange(len(rows) + 1)).astype(np.int32)
+        indptr = np.searchsorted(row[order], np.arange(n_rows + 1)).astype(np.int32)
         matrices = tuple(
             csr_array(
                 (
@@ -225,9 +231,9 @@ class SubsurfaceOperator:
             most = self.dipole.profile(np.maximum(distance - radius, 0.0))
             least = self.dipole.profile(distance + radius)
             wrong = areas * np.maximum(most - mean, mean - least)
-            bound = np.zeros((channels, len(rows)))
+            bound = np.zeros((channels, n_rows))
             for channel in range(channels):
-                bound[channel] += np.bincount(far_rows, wrong[channel], minlength=len(rows))
+                bound[channel] += np.bincount(far_rows, wrong[channel], minlength=n_rows)
             if np.isfinite(self.cut):
                 dropped = entering * self.dropped_share * self.dipole.total_reflectance
                 bound += dropped[:, None]
@@ -273,16 +279,19 @@ class SubsurfaceOperator:
                 result[channel, rows] = matrix @ sources
             n_clusters += block.n_clusters
             n_triangles += block.n_triangles
-        dipole = self.dipole
-        report = SubsurfaceReport(
-            albedo=_floats(dipole.entering_transmittance * dipole.total_reflectance),
+        return ScatteredTransfer(result, self.report(n_clusters, n_triangles))
+
+    def report(self, n_clusters: int, n_triangles: int) -> SubsurfaceReport:
+        """Tell what was done, from the counts of the rows of all vertices."""
+        dipole, n_verts = self.dipole, max(self.scene.n_vertices, 1)
+        return SubsurfaceReport(
+            albedo=_floats(dipole.diffuse_albedo),
             mean_free_path=_floats(dipole.mean_free_path),
             extent=_floats(dipole.extent()),
             resolution=_floats(self.resolution),
-            clusters=n_clusters / max(n_verts, 1),
-            triangles=n_triangles / max(n_verts, 1),
+            clusters=n_clusters / n_verts,
+            triangles=n_triangles / n_verts,
         )
-        return ScatteredTransfer(result, report)
 
     def measured_error(
         self, transfer: Float32[F32, "verts coeffs"], rows: Int64[I64, " rows"]

@@ -1,0 +1,166 @@
+"""Subsurface scattering through the stages of a job: what is decided, stored and said."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.bounces import read_transfer_tile
+from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_workers.jobs import bounce
+from prtbake_workers.jobs.media import make_dipole
+from prtbake_workers.jobs.report import gather
+from prtbake_workers.jobs.scene_file import read_scene
+from prtbake_workers.transport.subsurface import SubsurfaceOperator
+from support.scenes import asset_request, run_until, teapot_context
+
+TINT = [0.9, 0.5, 0.8]
+WHITE = {"model": "lambert", "albedo": TINT}
+MARBLE = {"medium": "marble", "mm_per_unit": 2.0}
+BAKE = {"n_centres": 42, "bounce_rays": 16, "max_bounces": 3}
+ALONE = {"interreflection": "off"}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return open_store((tmp_path_factory.mktemp("scattering") / "blobs").as_uri())
+
+
+def joined(store, **changes):
+    given = {"brdf": WHITE, "subsurface": MARBLE, "settings": {"bake": BAKE}} | changes
+    request = asset_request(**given)
+    return run_until(store, request, teapot_context(store, request), "join")
+
+
+@pytest.fixture(scope="module")
+def scattered(store):
+    return joined(store, effects=ALONE)
+
+
+def direct_of(store, results):
+    """Direct transfer of every part, (verts, coeffs)."""
+    return [
+        np.concatenate([read_transfer_tile(store.local_path(tile))[0][:, 0] for tile in tiles])
+        for tiles in bounce.grouped_tiles(results, "bake")
+    ]
+
+
+def stored(store, results):
+    with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
+        header = transfer.header
+        return header, [
+            transfer.read(index).reshape(part.n_vertices, part.n_channels, -1)
+            for index, part in enumerate(header.parts)
+        ]
+
+
+def decision_of(results):
+    (found,) = (
+        one
+        for one in results["plan"][0]["plan"]["effects"]
+        if one["effect"] == "subsurface_scattering"
+    )
+    return found
+
+
+def test_the_object_is_scattered_and_the_plane_is_not(store, scattered):
+    assert decision_of(scattered)["taken"]
+    scene = read_scene(store.local_path(scattered["plan"][0]["scene"])).scene
+    direct = direct_of(store, scattered)
+    expected = SubsurfaceOperator(scene.part(0), make_dipole(MARBLE)).apply(direct[0]).transfer
+    header, found = stored(store, scattered)
+    assert [part.n_channels for part in header.parts] == [3, 3]
+    assert header.parts[0].subsurface == MARBLE
+    assert header.parts[1].subsurface is None
+    assert header.provenance["scattering"] == [0]
+    assert header.provenance["interreflection"] is None
+    # 16 bits twice: half a step of either row
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(found[0].transpose(1, 0, 2), expected, atol=4e-5 * largest)
+    for channel in range(3):
+        np.testing.assert_allclose(found[1][:, channel], direct[1], atol=1e-4 * direct[1].max())
+    # the tint multiplies all of that at the end
+    np.testing.assert_allclose(header.parts[0].albedo, TINT, rtol=1e-6)
+    # negative twin: light that leaves where it falls
+    there = make_dipole(MARBLE).diffuse_albedo[:, None, None] * direct[0]
+    assert np.abs(there - expected).max() > 0.1 * largest
+
+
+def test_left_out_it_is_the_albedo_of_the_medium(store, scattered):
+    off = joined(store, effects=ALONE | {"subsurface_scattering": "off"})
+    assert off["bounces"] == off["add_bounces"] == []
+    header, found = stored(store, off)
+    assert header.parts[0].n_channels == 1
+    assert header.parts[0].subsurface == MARBLE
+    assert header.provenance["scattering"] == []
+    albedo = make_dipole(MARBLE).diffuse_albedo
+    np.testing.assert_allclose(header.parts[0].albedo, TINT * albedo, rtol=1e-6)
+    # what the probe foresaw is what the two assets differ by
+    header, with_it = stored(store, scattered)
+    areas = header.parts[0].areas
+    leaving = albedo[:, None] * found[0]
+    wrong = ((leaving - with_it[0]) ** 2).sum(axis=(1, 2))
+    share = float(areas @ wrong) / float(areas @ (with_it[0] ** 2).sum(axis=(1, 2)))
+    for results in (off, scattered):
+        foreseen = decision_of(results)["predicted_error_otherwise"]
+        # bands 0 to 4 stand for all, and points of the facets for the vertices
+        assert 0.5 * share < foreseen < 2.0 * share
+    assert share > 0.05
+
+
+def test_a_path_far_below_the_sampling_distance_is_left(store):
+    fine = joined(store, subsurface=MARBLE | {"mm_per_unit": 1e6}, effects=ALONE)
+    decided = decision_of(fine)
+    assert not decided["taken"]
+    assert decided["predicted_error_otherwise"] < 1e-3
+    on = joined(
+        store,
+        subsurface=MARBLE | {"mm_per_unit": 1e6},
+        effects=ALONE | {"subsurface_scattering": "on"},
+    )
+    assert any("far apart" in note for note in gather("x", on)["bounce_notes"])
+    assert all(np.isfinite(one).all() for one in stored(store, on)[1])
+
+
+def test_bounces_meet_the_scattered_light(store, scattered):
+    """Both effects: the plane gets light in the medium's colours, tinted by what the object is."""
+    effects = {"interreflection": "on", "colour_bleeding": "on"}
+    both = joined(store, brdf=WHITE | {"albedo": 1.0}, effects=effects)
+    _, alone = stored(store, scattered)
+    _, found = stored(store, both)
+    gains = [(one**2).sum(axis=(0, 2)) / (two**2).sum(axis=(0, 2))
+             for one, two in zip(found, alone, strict=True)]  # fmt: skip
+    assert all((gain > 1.0).all() for gain in gains)
+    # of what falls on it marble sends more red than blue
+    assert gains[1][0] > gains[1][2]
+    account = gather("x", both)
+    (stage,) = (one for one in account["stages"] if one["name"] == "bounces")
+    assert 0.0 < stage["errors"]["object scattering"] < 1e-4
+    assert "receiver scattering" not in stage["errors"]
+    assert account["bounces"]["left_out_is"] == "a bound"
+
+
+def test_the_report_says_what_was_scattered(scattered):
+    account = gather("x", scattered)
+    (stage,) = (one for one in account["stages"] if one["name"] == "bounces")
+    assert sorted(stage["errors"]) == ["object 16-bit", "object scattering", "receiver 16-bit"]
+    assert account["bounces"] is None
+    (note,) = account["bounce_notes"]
+    dipole = make_dipole(MARBLE)
+    assert f"mean free path {dipole.mean_free_path[0]:.3g}" in note
+    assert f"gives back {dipole.diffuse_albedo[0]:.3g}" in note
+    assert scattered["plan"][0]["plan"]["seconds"]["bounces"] > 0.0
+
+
+def test_a_grey_medium_needs_one_channel(store):
+    grey = {"scattering": 3.0, "absorption": 0.02, "mm_per_unit": 2.0}
+    results = joined(store, subsurface=grey, effects=ALONE)
+    assert decision_of(results)["taken"]
+    header, _ = stored(store, results)
+    assert [part.n_channels for part in header.parts] == [1, 1]
+
+
+def test_a_glossy_brdf_is_refused(store):
+    with pytest.raises(SettingsError, match="lambert") as caught:
+        joined(store, brdf={"model": "phong", "kd": 0.5, "ks": 0.2, "exponent": 4})
+    assert caught.value.pointer == "/subsurface"
