@@ -13,8 +13,9 @@ from prtbake_workers.transport import surface
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
+from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
+from prtbake_workers.transport.path_tracer import trace_paths
 from support.bounce_scenes import ball, bowl, opaque, patch, turned_inside_out
 
 

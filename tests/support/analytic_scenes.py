@@ -23,8 +23,9 @@ from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.interreflection import bounce_series
+from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
+from prtbake_workers.transport.path_tracer import trace_paths
 from prtbake_workers.validation.light import subdivided_texels
 from support.bounce_scenes import (
     ball,

@@ -16,8 +16,9 @@ from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.render.metrics import REL_MSE_FLOOR, rel_mse
+from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
+from prtbake_workers.transport.path_tracer import trace_paths
 from support.bounce_scenes import opaque
 
 mi.set_variant("scalar_rgb")

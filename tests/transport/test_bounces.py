@@ -160,6 +160,6 @@ def test_black_surfaces_and_open_ones_add_nothing(diffuse):
 def test_what_does_not_fit_is_refused(surface, diffuse):
     direct = positive(surface.scene, [diffuse] * 2)
     with pytest.raises(SettingsError, match="max_bounces"):
-        bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), max_bounces=0)
+        bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), max_bounces=-1)
     with pytest.raises(SettingsError, match="tolerance"):
         bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), tolerance=-1.0)

@@ -20,8 +20,9 @@ from prtbake_workers.transport import path_tracer
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
+from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.path_tracer import PathMaterial, trace_paths
+from prtbake_workers.transport.path_tracer import trace_paths
 from prtbake_workers.transport.proposal import Proposal
 from prtbake_workers.transport.reference import blocks, to_local, visible_cosine
 from prtbake_workers.validation.light import draw_pass, subdivided_texels

@@ -25,6 +25,7 @@ from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import vertex_areas
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.inputs import load_brdf, load_environment
+from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import occluder_accelerator
 from prtbake_workers.render.images import (
     auto_exposure,
@@ -130,9 +131,16 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         scene=scene,
         accelerator=Accelerator(scene.positions, scene.faces, robust=True),
         parts=tuple(
-            _validation_part(part, own.view_texture, scene, occluders, store)
-            for part, own, occluders in zip(
-                header.parts, delivered.parts, header.provenance["occluders"], strict=True
+            _validation_part(
+                part,
+                own.view_texture,
+                scene,
+                occluders,
+                store,
+                scattered=index in header.provenance.get("scattering", ()),
+            )
+            for index, (part, own, occluders) in enumerate(
+                zip(header.parts, delivered.parts, header.provenance["occluders"], strict=True)
             )
         ),
         basis=SrbfBasis(header.centres, header.bandwidth),
@@ -238,6 +246,8 @@ def _validation_part(
     scene: Scene,
     occluders: list[int],
     store: BlobStore,
+    *,
+    scattered: bool,
 ) -> ValidationPart:
     """Rebuild a part; its view texture of all terms gets the resolution that was delivered."""
     brdf = load_brdf(store, dict(part.material))
@@ -248,4 +258,6 @@ def _validation_part(
         factorisation=factorisation,
         view_texture=texture,
         occluders=occluder_accelerator(scene, occluders),
+        medium=None if part.subsurface is None else make_dipole(part.subsurface),
+        scattered=scattered,
     )

@@ -1,6 +1,7 @@
 """Points of a surface with everything that shading them takes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,27 @@ class PathPoints:
             self.wo[which],
             self.triangles[which],
             self.barycentrics[which],
+        )
+
+    def replaced(self, which: I64, others: "PathPoints") -> "PathPoints":
+        """Put other points in the place of some."""
+
+        def laid(own: F64 | I64, other: F64 | I64) -> Any:
+            result = own.copy()
+            result[which] = other
+            return result
+
+        surface, theirs = self.surface, others.surface
+        return PathPoints(
+            SurfacePoints(
+                laid(surface.positions, theirs.positions),
+                laid(surface.normals, theirs.normals),
+                laid(surface.side, theirs.side),
+            ),
+            laid(self.frames, others.frames),
+            laid(self.wo, others.wo),
+            laid(self.triangles, others.triangles),
+            laid(self.barycentrics, others.barycentrics),
         )
 
     @classmethod

@@ -7,59 +7,32 @@ of the environment's samples and q that of directions,
 
     f L / (p + q)   for the one, where it is visible, and for the other, where it escapes.
 
+Where a part scatters light inside, a path that reaches it goes on from where the light entered
+(`dipole_sampling`), as from a Lambert surface of albedo 1.
+
 Light goes where it goes in the bake: surfaces are opaque, the back of a one-sided one is black, and
 rays start at p + epsilon n_g.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
-from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.transport.hemisphere_rays import lattice
+from prtbake_workers.transport.path_material import PathMaterial
+from prtbake_workers.transport.path_numbers import PathNumbers
 from prtbake_workers.transport.path_points import PathPoints
-from prtbake_workers.transport.proposal import Proposal, fit_proposal
 from prtbake_workers.transport.reference import blocks
 from prtbake_workers.transport.surface import OpaqueSurface
 
-N_AXES = 6
-"""Uniform numbers at a path vertex: two for the light, one to choose a component, two for the
-direction, one for the roulette."""
-
 LEAST_SURVIVAL = 0.05
 """Of a path in the roulette, so that no weight grows beyond 20."""
-
-
-@dataclass(frozen=True)
-class PathMaterial:
-    """How one part reflects.
-
-    Attributes
-    ----------
-    brdf
-        In the frame of the vertices.
-    texture
-        What multiplies the BRDF at triangles and barycentrics, (points, 3); None for 1.
-    two_sided
-        Whether the back reflects as the front does.
-    """
-
-    brdf: Brdf
-    texture: Callable[[Int64[I64, " n"], Float64[F64, "n 3"]], Float64[F64, "n 3"]] | None = None
-    two_sided: bool = False
-
-    @cached_property
-    def proposal(self) -> Proposal:
-        """The density that paths go on with, fitted once."""
-        return fit_proposal(self.brdf)
 
 
 @dataclass(frozen=True)
@@ -154,40 +127,18 @@ def trace_paths(
     passes = np.zeros_like(indirect)
     by_bounce = np.zeros((n_bounces + 1, len(points), 3))
     for index in range(n_passes):
-        numbers = [_Numbers(seed, index, depth, len(points), n_samples)
+        numbers = [PathNumbers([seed, index, depth], len(points), n_samples)
                    for depth in range(n_bounces + 1)]  # fmt: skip
+        inside = [PathNumbers([seed, index, depth, 1], len(points), n_samples)
+                  for depth in range(n_bounces + 1) if tracer.scatters]  # fmt: skip
         for block in blocks(len(points), n_samples):
-            found = tracer.trace(points, block, numbers, n_samples)
+            found = tracer.trace(points, block, numbers, inside, n_samples)
             indirect[index, block] = found[1:].sum(axis=0)
             passes[index, block] = found[0] + indirect[index, block]
             by_bounce[:, block] += found / n_passes
         if progress is not None:
             progress((index + 1) / n_passes)
     return PathEstimate(passes, indirect, by_bounce, tracer.n_rays)
-
-
-class _Numbers:
-    """The uniform numbers of one pass at one depth: a pattern over samples, shifted by point."""
-
-    def __init__(self, seed: int, index: int, depth: int, n_points: int, n_samples: int) -> None:
-        rng = np.random.default_rng([seed, index, depth])
-        square, line = lattice(n_samples), (np.arange(n_samples) + 0.5) / n_samples
-        self.pattern = np.concatenate(
-            [
-                square[rng.permutation(n_samples)],
-                line[rng.permutation(n_samples), None],
-                square[rng.permutation(n_samples)],
-                line[rng.permutation(n_samples), None],
-            ],
-            axis=1,
-        )
-        self.shift = rng.random((n_points, N_AXES))
-
-    def of(self, point: I64, sample: I64) -> Float64[F64, "paths axes"]:
-        """Give the numbers of paths."""
-        moved = self.pattern[sample] + self.shift[point]
-        moved -= np.floor(moved)
-        return np.minimum(moved, np.nextafter(1.0, 0.0), out=moved)
 
 
 class _PathTracer:
@@ -209,10 +160,16 @@ class _PathTracer:
         self.roulette_from = roulette_from
         self.first_lit = 1 if indirect_only else 0
         self.two_sided = np.array([material.two_sided for material in materials])
+        self.scatters = any(material.scattering is not None for material in materials)
         self.n_rays = 0
 
     def trace(
-        self, points: PathPoints, block: slice, numbers: list[_Numbers], n_samples: int
+        self,
+        points: PathPoints,
+        block: slice,
+        numbers: list[PathNumbers],
+        inside: list[PathNumbers],
+        n_samples: int,
     ) -> Float64[F64, "bounces points 3"]:
         """Follow the paths of a block of points, all of them one bounce at a time."""
         n_points = block.stop - block.start
@@ -221,6 +178,11 @@ class _PathTracer:
         at, throughput = points.pick(point), np.full((len(point), 3), 1.0 / n_samples)
         result = np.zeros((len(numbers), n_points, 3))
         for depth, own in enumerate(numbers):
+            if inside:
+                at = self._enter(at, throughput, inside[depth].of(point, sample))
+                lit = np.flatnonzero(throughput.any(axis=1))
+                at, throughput = at.pick(lit), throughput[lit]
+                point, sample = point[lit], sample[lit]
             u = own.of(point, sample)
             wo = np.einsum("pij,pj->pi", at.frames, at.wo)
             texture = self._texture(at)
@@ -248,6 +210,21 @@ class _PathTracer:
             at, throughput = at.pick(alive), throughput[alive]
             point, sample = point[hit[alive]], sample[hit[alive]]
         return result
+
+    def _enter(self, at: PathPoints, throughput: F64, u: F64) -> PathPoints:
+        """Move the points of scattering parts to where their light entered; scales in place."""
+        part = self.scene.part_of_face[at.triangles]
+        for index, material in enumerate(self.materials):
+            own = np.flatnonzero(part == index)
+            if material.scattering is None or len(own) == 0:
+                continue
+            here = at.pick(own)
+            if material.texture is not None:
+                throughput[own] *= material.texture(here.triangles, here.barycentrics)
+            entered, weights = material.scattering.enter(here, u[own, :5])
+            throughput[own] *= weights
+            at = at.replaced(own, entered)
+        return at
 
     def _sampled_light(
         self, at: PathPoints, wo: F64, texture: F64, u: F64
@@ -318,7 +295,7 @@ class _PathTracer:
         scale = np.ones((len(at), 3))
         part = self.scene.part_of_face[at.triangles]
         for index, material in enumerate(self.materials):
-            if material.texture is not None:
+            if material.texture is not None and material.scattering is None:
                 own = np.flatnonzero(part == index)
                 scale[own] = material.texture(at.triangles[own], at.barycentrics[own])
         return scale

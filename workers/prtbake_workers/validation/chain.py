@@ -5,7 +5,8 @@ reference -> K terms -> BRDF tables -> vertex interpolation -> visibility sampli
 
 With bounces, the pictures up to the SRBF basis all hold the same indirect light, pass by pass, of
 the path tracer; it cancels in their differences.  The stored transfer holds the bounces of the
-bake, so what those lack falls into its line.
+bake, so what those lack falls into its line.  So does all that differs where a part scatters light
+inside: there the pictures up to the SRBF basis are the path tracer's.
 """
 
 from collections.abc import Callable
@@ -39,6 +40,10 @@ BOUNCED_LINE = "bounces and 16-bit transfer"
 """In place of `STORED_LINE` where transfer was baked with bounces."""
 UNBOUNCED_LINE = "bounces left out and 16-bit transfer"
 """Where only the reference has bounces."""
+SCATTERED = "scattering"
+UNSCATTERED = "scattering left out"
+PARTLY_SCATTERED = "scattering left out of some parts"
+"""What stands before that where parts have a medium."""
 
 MEANINGS = {
     "reference": "brute force: importance sampling, shadow rays, the true BRDF, paths for bounces",
@@ -60,6 +65,26 @@ MEANINGS = {
 """What each picture of the chain adds over the one before it."""
 
 LINES = tuple(name for name in MEANINGS if name not in (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE))
+
+_INSIDE = {
+    SCATTERED: "light scattered inside by the bake's operator, between vertices and from its own "
+    "directions and SRBFs, in place of the reference's",
+    UNSCATTERED: "light that leaves a medium where it fell, as the bake left its scattering out",
+    PARTLY_SCATTERED: "light scattered inside by the bake's operator, between vertices and from "
+    "its own directions and SRBFs, or left where it fell on parts that the bake chose",
+}
+
+
+def with_scattering(inside: str, stored: str) -> str:
+    """Name the line of the stored transfer where parts have a medium."""
+    return f"{inside}{' and' if stored == STORED_LINE else ','} {stored}"
+
+
+MEANINGS |= {
+    with_scattering(inside, name): f"{what}; {MEANINGS[name]}"
+    for inside, what in _INSIDE.items()
+    for name in (STORED_LINE, BOUNCED_LINE, UNBOUNCED_LINE)
+}
 MERGED_LINES = (*LINES[:-2], MERGED_LINE)
 
 N_WITH_PATHS = LINES.index(STORED_LINE)
@@ -95,7 +120,8 @@ def validate_camera(
     """
     hits = trace_camera(validation, camera, settings.width, settings.height)
     n_bounces = settings.reference_bounces(baked=validation.baked_bounces)
-    light_passes = settings.passes * (2 if n_bounces else 1)
+    paths = PathLight(validation, hits, n_bounces)
+    light_passes = settings.passes * (1 + paths.n_traces)
     steps = len(rotations) * (light_passes + 1) + len(validation.parts)
     done = 0
 
@@ -106,7 +132,6 @@ def validate_camera(
             progress(done / steps)
 
     exact = [ExactTerms(part.factorisation) for part in validation.parts]
-    paths = PathLight(validation, hits) if n_bounces else None
     sampled = _sampled_pictures(validation, hits, rotations, advance)
     views = []
     for index, rotation in enumerate(rotations):
@@ -121,9 +146,9 @@ def validate_camera(
             if asset is not None
         ]
         advance()
-        if paths is not None:
-            indirect = paths.indirect(rotation, n_bounces, settings, seed + index, advance)
-            chain[:N_WITH_PATHS] = [picture + indirect for picture in chain[:N_WITH_PATHS]]
+        if paths.n_traces:
+            direct = chain[:N_WITH_PATHS]
+            chain[:N_WITH_PATHS] = paths.add(direct, rotation, settings, seed + index, advance)
         names = line_names(validation, n_bounces)
         pictures = tuple(
             ChainPicture(name, passes) for name, passes in zip(names, chain, strict=True)
@@ -148,6 +173,12 @@ def line_names(validation: ValidationScene, n_bounces: int) -> tuple[str, ...]:
         stored = BOUNCED_LINE
     elif n_bounces:
         stored = UNBOUNCED_LINE
+    scattered = {part.scattered for part in validation.parts if part.medium is not None}
+    if scattered:
+        inside = PARTLY_SCATTERED
+        if len(scattered) == 1:
+            inside = SCATTERED if scattered == {True} else UNSCATTERED
+        stored = with_scattering(inside, stored)
     names = MERGED_LINES if validation.exact is None else LINES
     return tuple(stored if name == STORED_LINE else name for name in names)
 

@@ -13,12 +13,13 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.directions import CubeDirections
 
 
 @dataclass(frozen=True)
 class ValidationPart:
-    """One part: its true BRDF, its separable form, and the shadows that its bake simulated."""
+    """One part: its true BRDF, its separable form, and what its bake simulated."""
 
     brdf: Brdf
     factorisation: Factorisation
@@ -26,6 +27,10 @@ class ValidationPart:
     """Of the terms themselves, before U_view; None where phi is constant."""
     occluders: Accelerator | None
     """The triangles that the bake let block its light; None where it traced no ray."""
+    medium: Dipole | None = None
+    """What scatters inside."""
+    scattered: bool = False
+    """Whether the stored transfer holds that."""
 
 
 @dataclass(frozen=True)
