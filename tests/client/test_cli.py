@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
-from prtbake.cli.requests import receiver_value
+from prtbake.cli.requests import medium_value, receiver_value
 from prtbake_service.testing import LiveService
 from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
@@ -66,6 +66,7 @@ def test_submit_asset_from_words(
         *("--brdf", "lambert,albedo=0.9:0.2:0.1", "--quality", "draft"),
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
         *("--albedo-texture", texture, "--set", "bake.n_terms=16"),
+        *("--subsurface", "marble,mm_per_unit=10"),
         *("--set", "compress.ranks=8,48,24", "-o", "json"),
     )
     assert made.exit_code == 0, made.output
@@ -76,6 +77,8 @@ def test_submit_asset_from_words(
     assert request["receiver"]["resolution"] == 8
     assert request["effects"]["self_shadowing"] == "off"
     assert request["albedo_texture"].startswith("sha256:")
+    assert request["subsurface"]["medium"] == "marble"
+    assert request["subsurface"]["mm_per_unit"] == 10.0
 
 
 def test_a_plane_is_words_or_json() -> None:
@@ -87,6 +90,25 @@ def test_a_plane_is_words_or_json() -> None:
     for wrong in ("{", '{"size": 3}', "size=3"):
         with pytest.raises(typer.BadParameter):
             receiver_value(wrong)
+
+
+def test_a_medium_is_a_name_parameters_or_json() -> None:
+    marble = {"medium": "marble", "mm_per_unit": 10}
+    assert medium_value("marble,mm_per_unit=10") == marble
+    assert medium_value(json.dumps(marble)) == marble
+    own = {"scattering": [2, 3, 4], "absorption": 0.1, "mm_per_unit": 2.5, "eta": 1.4}
+    assert medium_value("scattering=2:3:4,absorption=0.1,mm_per_unit=2.5,eta=1.4") == own
+    for wrong, said in (
+        ("{", "not JSON"),
+        ("marble", "mm_per_unit: Field required"),
+        ("marbel,mm_per_unit=1", "medium: Input should be 'apple'"),
+        ("marble,mm_per_unit=1,size=2", "size"),
+        ("marble,mm_per_unit=1,absorption=2", "state it or them"),
+        ("scattering=0,absorption=0,mm_per_unit=1", "meets nothing"),
+        ("scattering=1,mm_per_unit=1", "both scattering and absorption"),
+    ):
+        with pytest.raises(typer.BadParameter, match=said):
+            medium_value(wrong)
 
 
 def test_a_brdf_is_inline_json_or_a_file_to_register(

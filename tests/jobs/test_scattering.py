@@ -7,12 +7,14 @@ from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.bounces import read_transfer_tile
 from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.jobs import bounce
+from prtbake_workers.jobs.estimate import estimate
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.report import gather
 from prtbake_workers.jobs.scene_file import read_scene
 from prtbake_workers.transport.subsurface import SubsurfaceOperator
-from support.scenes import asset_request, run_until, teapot_context
+from support.scenes import asset_request, context_of, run_asset, run_until, teapot_context
 
 TINT = [0.9, 0.5, 0.8]
 WHITE = {"model": "lambert", "albedo": TINT}
@@ -150,6 +152,67 @@ def test_the_report_says_what_was_scattered(scattered):
     assert f"mean free path {dipole.mean_free_path[0]:.3g}" in note
     assert f"gives back {dipole.diffuse_albedo[0]:.3g}" in note
     assert scattered["plan"][0]["plan"]["seconds"]["bounces"] > 0.0
+
+
+@pytest.fixture(scope="module")
+def marble_on_a_plane(store):
+    """A whole job: request, context, results."""
+    request = asset_request(
+        brdf=WHITE,
+        subsurface=MARBLE,
+        receiver={"resolution": 16, "albedo": 0.5},
+        settings={
+            "bake": {"bounce_rays": 32, "max_bounces": 3},
+            "compress": {"n_components": 32},
+            "fit_light": {"n_lobes": 42},
+            "validation": {
+                "width": 40, "height": 30, "passes": 6, "samples": 32, "bounce_samples": 48,
+                "cameras": [{"name": "front"}],
+            },
+        },
+    )  # fmt: skip
+    context = context_of(
+        store,
+        request,
+        {"builtin": {"name": "icosphere", "tessellation": 3}},
+        {"builtin": {"name": "sun_sky", "width": 64}},
+    )
+    return request, context, run_asset(store, request, context)
+
+
+def test_a_job_of_marble_on_a_plane(marble_on_a_plane):
+    _, _, results = marble_on_a_plane
+    decided = decision_of(results)
+    assert decided["taken"]
+    assert not decided["forced"]
+    (written,) = results["report"]
+    report = written["report"]
+    budget = report["budget"]
+    lines = {line["name"]: line for line in budget["lines"]}
+    stored = lines["scattering, bounces and 16-bit transfer"]
+    # the plane alone has errors in the lines before; the ball has all of its own here
+    assert stored["error"] < 0.05
+    assert stored["noise"] < 0.06
+    sum_of_lines = sum(line["error"] + line["noise"] for line in lines.values())
+    assert budget["total"] < sum_of_lines
+    # 162 SRBFs and a plane of 16 vertices a side
+    assert budget["total"] < 0.15
+    assert any("object scatters light inside" in note for note in report["notes"])
+    assert 0.0 < report["errors"]["bounces"]["object scattering"] < 1e-4
+
+
+def test_an_estimate_foresees_the_job(store, marble_on_a_plane):
+    request, context, results = marble_on_a_plane
+    args = {"request": request | {"kind": "asset"}, "context": context}
+    with store.scratch() as scratch:
+        found = estimate(args, TaskContext(store, scratch, lambda _: None))
+    assert found["plan"]["bounces"]["scattering"] == [0]
+    assert found["plan"]["bounces"] == results["plan"][0]["plan"]["bounces"]
+    plain = {"request": args["request"] | {"subsurface": None}, "context": context}
+    with store.scratch() as scratch:
+        without = estimate(plain, TaskContext(store, scratch, lambda _: None))
+    for stage in ("bounces", "validate"):
+        assert found["seconds"][stage] > without["seconds"][stage]
 
 
 def test_a_grey_medium_needs_one_channel(store):

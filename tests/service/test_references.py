@@ -139,6 +139,40 @@ def test_a_texture_needs_a_lambert_brdf(
         assert "lambert" in answer.json()["detail"]
 
 
+MARBLE = {"medium": "marble", "mm_per_unit": 10.0}
+
+
+def test_a_medium_needs_a_lambert_brdf(http: httpx.Client, mesh: str) -> None:
+    for model, status in (("lambert", 202), ("ggx", 400)):
+        body = {"kind": "bake", "mesh": mesh, "brdf": {"model": model}, "subsurface": MARBLE}
+        for path in ("/v1/jobs", "/v1/jobs:estimate"):
+            answer = http.post(path, json=body)
+            assert answer.status_code == status
+        if status == 400:
+            assert answer.json()["pointer"] == "/subsurface"
+            assert "lambert" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    "medium",
+    [
+        {"mm_per_unit": 1.0},
+        {"medium": "granite", "mm_per_unit": 1.0},
+        {"scattering": 1.0, "mm_per_unit": 1.0},
+        {"scattering": [1.0, 0.0, 1.0], "absorption": 0.0, "mm_per_unit": 1.0},
+        MARBLE | {"eta": 1.4},
+        MARBLE | {"mm_per_unit": 0.0},
+    ],
+)
+def test_a_medium_that_means_nothing_is_refused(
+    http: httpx.Client, mesh: str, medium: dict[str, object]
+) -> None:
+    body = {"kind": "bake", "mesh": mesh, "brdf": LAMBERT, "subsurface": medium}
+    answer = http.post("/v1/jobs", json=body)
+    assert answer.status_code == 422
+    assert answer.json()["pointer"].startswith("/subsurface")
+
+
 def test_an_artefact_must_be_finished(service: LiveService, http, submit) -> None:
     job = submit()
     body = {"kind": "compress", "transfer": f"{job['id']}/transfer.h5"}

@@ -195,6 +195,9 @@ in a closed room of albedo 0.5."""
 SAMPLES_PER_PATH = 8
 """Light samples that cost about what a path does."""
 
+MEDIUM_PATHS = 4
+"""Paths of a pixel that shows a medium, over those of others: all of its light comes by them."""
+
 
 class ValidateSettings(Wire):
     """Reference pictures: ``passes`` x ``samples`` light samples give value and variance.

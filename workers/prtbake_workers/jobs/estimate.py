@@ -173,6 +173,7 @@ def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStor
         n_terms=max(part.n_terms for part in header.parts),
         n_dirs=3 * header.provenance["bake"]["cube_resolution"] ** 2,
         baked_bounces=bool(header.provenance.get("interreflection")),
+        media=any(part.subsurface is not None for part in header.parts),
     )
     return _only("validate", seconds, len(settings.cameras), given)
 

@@ -122,7 +122,8 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[*notes, *repairs(report), *report.get("warnings", [])],
-        media={part: own for part, own in enumerate(media) if own and part in scattering.parts},
+        media={part: own for part, own in enumerate(media) if own is not None},
+        scattering=scattering.parts,
     )
     bounces = None
     if plan.bounces is not None:

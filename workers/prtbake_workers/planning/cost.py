@@ -9,7 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtbake_storage.contract.settings import BakeSettings, FitLightSettings, ValidateSettings
+from prtbake_storage.contract.settings import (
+    MEDIUM_PATHS,
+    BakeSettings,
+    FitLightSettings,
+    ValidateSettings,
+)
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.presets import PartCompression
 
@@ -27,6 +32,8 @@ SCATTERING_ROWS_PER_SECOND = 2.0e3
 """Rows of the subsurface operator built, whatever their channels."""
 SCATTERING_ENTRIES = 350
 """Of a row: clusters, and corners of triangles."""
+SCATTERED_PATHS_PER_SECOND = 5.0e4
+"""Paths that begin on a medium, with the lines that look for where light entered."""
 GZIP_BYTES_PER_SECOND = 3.0e7
 CHILD_START_S = 1.5
 TILE_SECONDS = 8.0
@@ -182,13 +189,24 @@ def fit_seconds(settings: FitLightSettings) -> float:
 
 
 def validate_seconds(
-    settings: ValidateSettings, *, n_terms: int, n_dirs: int, baked_bounces: bool = False
+    settings: ValidateSettings,
+    *,
+    n_terms: int,
+    n_dirs: int,
+    baked_bounces: bool = False,
+    media: bool = False,
 ) -> float:
-    """Predict the seconds of all chains of pictures, with paths where the reference has bounces."""
+    """Predict the seconds of all chains of pictures, with paths where the reference has bounces.
+
+    And where ``media`` scatter light inside: half of what is seen is taken to show one.
+    """
     pixels = 0.5 * settings.width * settings.height
     samples = settings.passes * settings.samples
     one = pixels * samples * (4.0 / RAYS_PER_SECOND + 3.0 * n_terms / 2.0e7)
     if settings.reference_bounces(baked=baked_bounces):
         one += pixels * settings.passes * settings.paths / PATHS_PER_SECOND
+    if media:
+        paths = MEDIUM_PATHS * settings.paths
+        one += 0.5 * pixels * settings.passes * paths / SCATTERED_PATHS_PER_SECOND
     cells = pixels * n_dirs * (1.0 / RAYS_PER_SECOND + n_terms / TRANSFER_SAMPLES_PER_SECOND)
     return len(settings.cameras) * (len(settings.rotations_deg) * one + cells)

@@ -194,14 +194,16 @@ def make_plan(
     spectra: Sequence[Float64[F64, " _"]],
     notes: list[str],
     media: Mapping[int, Dipole] = MappingProxyType({}),
+    scattering: Sequence[int] = (),
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
-    ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts whose
-    scattering is simulated.
+    ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
+    ``scattering`` the parts of these whose scattering is simulated.
     """
-    bounces = plan_bounces(scene, part_terms, effects, settings.bake, media)
+    simulated = {part: media[part] for part in scattering}
+    bounces = plan_bounces(scene, part_terms, effects, settings.bake, simulated)
     n_channels = 1 if bounces is None else bounces.n_channels
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
@@ -256,6 +258,7 @@ def make_plan(
             n_terms=max(part_terms),
             n_dirs=3 * settings.bake.cube_resolution**2,
             baked_bounces=bounces is not None and bounces.max_bounces > 0,
+            media=bool(media),
         ),
     }
     if bounces is not None:

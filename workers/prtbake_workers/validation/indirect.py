@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from prtbake_storage.contract.settings import ValidateSettings
+from prtbake_storage.contract.settings import MEDIUM_PATHS, ValidateSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, I64, Float64
 from prtbake_workers.brdf.lambert import Lambert
@@ -26,10 +26,6 @@ ROULETTE_FROM = 3
 SEED_OFFSET = 1_000_000
 """Beyond all cameras and rotations: numpy pads seeds with zeros, so that the first pass of the
 paths would draw the direct light's own random numbers."""
-
-
-SCATTERING_PATHS = 4
-"""Paths of a pixel that shows a medium, over those of others: all of its light comes by them."""
 
 
 class PathLight:
@@ -88,7 +84,7 @@ class PathLight:
                 rotation,
                 n_bounces=self._n_bounces,
                 n_passes=settings.passes,
-                n_samples=settings.paths * (SCATTERING_PATHS if whole else 1),
+                n_samples=settings.paths * (MEDIUM_PATHS if whole else 1),
                 seed=seed + SEED_OFFSET,
                 roulette_from=ROULETTE_FROM,
                 indirect_only=not whole,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from prtbake.cli.assignments import legal_names, nested, one_of, parse_value
 from prtbake.cli.context import client_of
@@ -25,6 +25,7 @@ from prtbake.cli.sources import (
 )
 from prtbake.client import Client
 from prtbake_storage.contract import resources as contract
+from prtbake_storage.contract.materials import Subsurface
 from prtbake_storage.contract.settings import (
     STAGES,
     BakeSettings,
@@ -94,6 +95,13 @@ Receiver = Annotated[
         help="Plane under the object: 'on', a resolution, resolution=64,extent=2 or JSON.",
     ),
 ]
+Medium = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MEDIUM",
+        help="Light scatters inside: marble,mm_per_unit=10, parameters or JSON.",
+    ),
+]
 Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file, or sha256:...")]
 Effect = Annotated[
     list[str] | None,
@@ -149,6 +157,7 @@ def asset(
     quality: Quality = "medium",
     receiver: Receiver = None,
     albedo_texture: Texture = None,
+    subsurface: Medium = None,
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
@@ -162,7 +171,9 @@ def asset(
 ) -> Request:
     """Bake, compress, fit the light, render, validate, report: the main job."""
     settings = _stage_settings(setting)
-    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
+    scene = _scene(
+        client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
+    )
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "asset",
@@ -181,6 +192,7 @@ def bake(
     brdf: Brdf,
     receiver: Receiver = None,
     albedo_texture: Texture = None,
+    subsurface: Medium = None,
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
@@ -192,7 +204,9 @@ def bake(
 ) -> Request:
     """Simulate transport: gives transfer.h5."""
     settings = _settings(setting, BakeSettings)
-    scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
+    scene = _scene(
+        client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
+    )
     return {
         "kind": "bake",
         **scene,
@@ -362,6 +376,7 @@ def _scene(
     brdf: str,
     receiver: str | None,
     texture: str | None,
+    medium: str | None,
     effects: list[str] | None,
     mesh_format: str,
     crease_angle: float | None,
@@ -376,6 +391,8 @@ def _scene(
     }
     if receiver is not None:
         scene["receiver"] = receiver_value(receiver)
+    if medium is not None:
+        scene["subsurface"] = medium_value(medium)
     picture: Path | None = None
     if texture is not None and not texture.startswith("sha256:"):
         picture = existing_file(texture, "--albedo-texture")
@@ -391,15 +408,39 @@ def receiver_value(text: str) -> Request:
     if text == "on":
         return {}
     if text.startswith("{"):
-        try:
-            given = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise typer.BadParameter(f"not JSON: {error}", param_hint="--receiver") from error
+        given = _json(text, "--receiver")
         return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
     if "=" not in text:
         return {"resolution": parse_value(text)}
     given = key_values(text.split(","))
     return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
+
+
+def medium_value(text: str) -> Request:
+    """Read ``--subsurface``: a medium's name and ``mm_per_unit``, parameters, or JSON."""
+    if text.startswith("{"):
+        given = _json(text, "--subsurface")
+    else:
+        name, *pairs = text.split(",")
+        given = {} if "=" in name else {"medium": name}
+        given |= key_values([name, *pairs] if "=" in name else pairs)
+    given = legal_names(given, Subsurface.model_fields, "the medium", "--subsurface")
+    try:
+        Subsurface.model_validate(given)
+    except ValidationError as error:
+        complaints = [
+            ": ".join([*(str(place) for place in entry["loc"][:1]), entry["msg"]])
+            for entry in error.errors()
+        ]
+        raise typer.BadParameter("; ".join(complaints), param_hint="--subsurface") from error
+    return given
+
+
+def _json(text: str, option: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise typer.BadParameter(f"not JSON: {error}", param_hint=option) from error
 
 
 def _settings(pairs: list[str] | None, model: type[BaseModel]) -> Request:
