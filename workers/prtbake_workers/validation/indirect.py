@@ -33,7 +33,7 @@ SCATTERING_PATHS = 4
 
 
 class PathLight:
-    """Traces paths from the pixels of one camera, by the true BRDFs and albedo textures.
+    """Traces paths from the pixels of one camera, by the true BRDFs, textures and colours.
 
     Surfaces have one side, as in the bake.
 

@@ -95,6 +95,9 @@ Receiver = Annotated[
     ),
 ]
 Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file, or sha256:...")]
+Colours = Annotated[
+    bool, typer.Option("--vertex-colours", help="Multiply the albedo by the colours of the mesh.")
+]
 Effect = Annotated[
     list[str] | None,
     typer.Option(
@@ -149,6 +152,7 @@ def asset(
     quality: Quality = "medium",
     receiver: Receiver = None,
     albedo_texture: Texture = None,
+    vertex_colours: Colours = False,
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
@@ -163,6 +167,8 @@ def asset(
     """Bake, compress, fit the light, render, validate, report: the main job."""
     settings = _stage_settings(setting)
     scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
+    if vertex_colours:
+        scene["vertex_colours"] = True
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "asset",
@@ -181,6 +187,7 @@ def bake(
     brdf: Brdf,
     receiver: Receiver = None,
     albedo_texture: Texture = None,
+    vertex_colours: Colours = False,
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
@@ -193,6 +200,8 @@ def bake(
     """Simulate transport: gives transfer.h5."""
     settings = _settings(setting, BakeSettings)
     scene = _scene(client, mesh, brdf, receiver, albedo_texture, effect, mesh_format, crease_angle)
+    if vertex_colours:
+        scene["vertex_colours"] = True
     return {
         "kind": "bake",
         **scene,
