@@ -130,7 +130,10 @@ def test_an_artefact_of_another_kind_is_refused(
 def test_vertex_colours_need_a_coloured_mesh_and_a_lambert_brdf(
     service: LiveService, http, understood: dict[str, bool], model: str, why: str | None
 ) -> None:
-    made = http.post("/v1/meshes", json={"builtin": {"name": "icosphere"}}).json()
+    # a mesh of its own: what is registered twice is the same resource
+    tessellation = 20 + len(f"{understood} {model}")
+    body = {"builtin": {"name": "teapot", "tessellation": tessellation}}
+    made = http.post("/v1/meshes", json=body).json()
     canonical = service.backend.blobs.put_bytes(b"a coloured mesh")
     service.succeed(f"parse-{made['id']}", {"canonical": canonical, "understood": understood})
     body = {"kind": "bake", "mesh": made["id"], "brdf": {"model": model}}
