@@ -236,7 +236,14 @@ def test_text_ply_codes_that_would_wrap_are_refused(broken):
 def test_ply_types_that_mean_nothing_are_left_out(kind):
     colours, report = colours_of(ply(CODES // 3, kind=kind), "ply")
     assert colours is None
-    assert "not uchar, ushort, float or double" in report.warnings[0]
+    assert "not all uchar, ushort, float or double" in report.warnings[0]
+
+
+def test_ply_colours_of_several_types_are_left_out():
+    data = ply(CODES).replace(b"property uchar green", b"property float green")
+    colours, report = colours_of(data, "ply")
+    assert colours is None
+    assert "not all uchar" in report.warnings[0]
 
 
 def test_rounding_of_text_is_forgiven_and_no_more():

@@ -118,20 +118,24 @@ def test_an_artefact_of_another_kind_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("understood", "model", "why"),
+    ("tessellation", "understood", "model", "why"),
     [
-        ({"vertex_colours": True}, "lambert", None),
-        ({"vertex_colours": True}, "ggx", "lambert"),
-        ({"vertex_colours": False}, "lambert", "no usable vertex colours"),
+        (21, {"vertex_colours": True}, "lambert", None),
+        (22, {"vertex_colours": True}, "ggx", "lambert"),
+        (23, {"vertex_colours": False}, "lambert", "no usable vertex colours"),
         # parsed before colours were read
-        ({}, "lambert", "no usable vertex colours"),
+        (24, {}, "lambert", "no usable vertex colours"),
     ],
 )
 def test_vertex_colours_need_a_coloured_mesh_and_a_lambert_brdf(
-    service: LiveService, http, understood: dict[str, bool], model: str, why: str | None
+    service: LiveService,
+    http,
+    tessellation: int,
+    understood: dict[str, bool],
+    model: str,
+    why: str | None,
 ) -> None:
     # a mesh of its own: what is registered twice is the same resource
-    tessellation = 20 + len(f"{understood} {model}")
     body = {"builtin": {"name": "teapot", "tessellation": tessellation}}
     made = http.post("/v1/meshes", json=body).json()
     canonical = service.backend.blobs.put_bytes(b"a coloured mesh")

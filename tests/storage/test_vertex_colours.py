@@ -66,12 +66,15 @@ def test_a_file_with_broken_ones_is_refused(tinted: Asset, tmp_path: Path, value
         read_asset(path)
 
 
-def test_a_file_with_too_few_is_refused(tinted: Asset, tmp_path: Path) -> None:
+def test_an_asset_with_wrong_ones_is_not_written(tinted: Asset) -> None:
     part = tinted.parts[1]
     assert part.vertex_colours is not None
     short = replace(part, vertex_colours=part.vertex_colours[1:])
     with pytest.raises(ValueError, match="parts/1/vertex_colours has shape"):
         check_asset(replace(tinted, parts=(tinted.parts[0], short)))
+    bright = replace(part, vertex_colours=part.vertex_colours + np.float32(1))
+    with pytest.raises(ValueError, match=r"parts/1/vertex_colours is 1\.\d+ at \(0, 0\)"):
+        check_asset(replace(tinted, parts=(tinted.parts[0], bright)))
 
 
 def test_shading_equals_its_slow_twin(tinted: Asset, rng: np.random.Generator) -> None:

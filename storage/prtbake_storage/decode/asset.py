@@ -286,6 +286,7 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
                (*part.albedo_texture.shape[:2], 3))  # fmt: skip
     if part.vertex_colours is not None:
         _shape(f"{where}/vertex_colours", part.vertex_colours, (verts, 3))
+        _fractions(f"{where}/vertex_colours", part.vertex_colours)
 
 
 def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
@@ -303,6 +304,13 @@ def _finite(name: str, array: NDArray[Any]) -> None:
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{name} is not finite at {place}")
+
+
+def _fractions(name: str, array: NDArray[Any]) -> None:
+    bad = np.argwhere((array < 0.0) | (array > 1.0))
+    if bad.size:
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name} is {array[place]} at {place}, outside [0, 1]")
 
 
 def _indices(name: str, array: NDArray[Any], stop: int) -> None:

@@ -15,7 +15,8 @@ from prtbake_workers.geometry.ply_columns import ply_columns, ply_types
 from prtbake_workers.geometry.vertex_colours import Encoding, RawColours
 
 _PLY_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_LARGEST = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
+_LARGEST = {"u1": 255.0, "u2": 65535.0, "f4": 1.0, "f8": 1.0}
+"""By type: what stands for 1."""
 
 
 def ply_colours(mesh: Any, notes: list[str]) -> RawColours | None:
@@ -24,18 +25,17 @@ def ply_colours(mesh: Any, notes: list[str]) -> RawColours | None:
     names = next((names for names in _PLY_NAMES if set(names) <= set(types)), None)
     if names is None:
         return None
-    kinds = {types[name].newbyteorder("=") for name in names}
+    kinds = {types[name] for name in names}
     kind = kinds.pop()
-    if kinds or not (kind in _LARGEST or kind.kind == "f"):
+    if kinds or kind not in _LARGEST:
         notes.append(
-            f"the vertex colours are left out: their type is {kind}, not uchar, ushort, float or "
-            "double for all three"
+            "the vertex colours are left out: they are not all uchar, ushort, float or double"
         )
         return None
     values = ply_columns(mesh, names)
     if values is None:
         return None
-    return _plain(values / _LARGEST.get(kind, 1.0), linear=kind.kind == "f")
+    return _plain(values / _LARGEST[kind], linear=kind[0] == "f")
 
 
 def off_colours(data: bytes) -> RawColours | None:
@@ -63,7 +63,7 @@ def glb_colours(mesh: Any, n_vertices: int) -> RawColours | None:
     if given is None or np.shape(given) not in {(n_vertices, 3), (n_vertices, 4)}:
         return None
     codes = np.asarray(given)[:, :3]
-    values = codes.astype(np.float64) / _LARGEST.get(codes.dtype.newbyteorder("="), 1.0)
+    values = codes.astype(np.float64) / _LARGEST[codes.dtype.str[1:]]
     return _plain(values, linear=True, clamped=True)
 
 

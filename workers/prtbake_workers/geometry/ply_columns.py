@@ -28,10 +28,10 @@ def ply_columns(mesh: Any, names: Sequence[str]) -> F64 | None:
     return columns
 
 
-def ply_types(mesh: Any) -> dict[str, np.dtype[Any]]:
-    """Give the type that the header states for each property of a vertex."""
+def ply_types(mesh: Any) -> dict[str, str]:
+    """Give the type of each property of a vertex, as numpy writes it without the order of bytes."""
     properties = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("properties", {})
-    return {name: np.dtype(kind) for name, kind in properties.items()}
+    return {name: str(kind).lstrip("<>=|") for name, kind in properties.items()}
 
 
 def _names(table: Any) -> tuple[str, ...]:
