@@ -164,3 +164,9 @@ def test_an_albedo_texture_colours_its_vertices(asset: Asset, light: LightFit) -
     colours = red.vertex_radiance((3, 4, 5), light)
     np.testing.assert_allclose(colours[:, 0], plain[:, 0], rtol=1e-6)
     assert (colours[:, 1:] == 0).all()
+    # vertex colours multiply what the texture left, each vertex by its own
+    tints = np.linspace(0.1, 0.9, VERTS * 3).reshape(VERTS, 3).astype(np.float32)
+    both = Asset(replace(red.data, parts=(replace(part, vertex_colours=tints),)))
+    found = both.vertex_radiance((3, 4, 5), light)
+    np.testing.assert_allclose(found, colours * tints, rtol=1e-6)
+    assert not np.allclose(found, colours * tints[::-1], rtol=1e-2)

@@ -59,14 +59,14 @@ def test_submit_asset_from_words(
     texture = tmp_path / "albedo.png"
     texture.write_bytes(b"png")
     canonical = service.backend.blobs.put_bytes(b"mesh")
-    result = {"canonical": canonical, "understood": {}}
+    result = {"canonical": canonical, "understood": {"vertex_colours": True}}
     service.answer_next("register", lambda job: service.succeed(job, result))
     made = run(
         *("submit", "asset", "--mesh", "builtin:teapot:3", "--environment", environment),
         *("--brdf", "lambert,albedo=0.9:0.2:0.1", "--quality", "draft"),
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
-        *("--albedo-texture", texture, "--set", "bake.n_terms=16"),
         *("--subsurface", "marble,mm_per_unit=10"),
+        *("--albedo-texture", texture, "--vertex-colours", "--set", "bake.n_terms=16"),
         *("--set", "compress.ranks=8,48,24", "-o", "json"),
     )
     assert made.exit_code == 0, made.output
@@ -79,6 +79,7 @@ def test_submit_asset_from_words(
     assert request["albedo_texture"].startswith("sha256:")
     assert request["subsurface"]["medium"] == "marble"
     assert request["subsurface"]["mm_per_unit"] == 10.0
+    assert request["vertex_colours"] is True
 
 
 def test_a_plane_is_words_or_json() -> None:

@@ -1,11 +1,14 @@
 """Every mesh of the data folder is handled or refused with what and where; scenes of any size."""
 
 import time
+from io import BytesIO
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
+from prtbake_storage.decode.texture import srgb_to_linear
 from prtbake_storage.errors import MeshError
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.loading import load_mesh
@@ -29,8 +32,8 @@ HANDLED = {
     "busted.STL": {"duplicate_vertices": 9693, "watertight": True},
     "chair_model.obj": {"duplicate_faces": 6382, "components": 3, "has_uv": True},
     "cube-ouvert.off": {"unreferenced_vertices": 1, "boundary_edges": 4},
-    "cubevc.glb": {"n_faces": 48, "watertight": True},
-    "cycloidal.ply": {"components": 100, "non_manifold_edges": 242},
+    "cubevc.glb": {"n_faces": 48, "watertight": True, "vertex_colours": True},
+    "cycloidal.ply": {"components": 100, "non_manifold_edges": 242, "colour_encoding": "srgb"},
     "degtri_sliding.off": {"degenerate_faces": 4, "n_faces": 4},
     "dragon_vrip_res4.ply": {"unreferenced_vertices": 2, "duplicate_faces": 502},
     "elephant-with-holes.off": {"duplicate_vertices": 65, "boundary_edges": 1353},
@@ -40,7 +43,7 @@ HANDLED = {
     "joined_tetrahedra.obj": {"non_manifold_edges": 3, "duplicate_faces": 1, "replaced_normals": 3},
     "moebius.obj": {"orientable": False, "n_polygons": 224, "boundary_edges": 112},
     "multibody.stl": {"clashing_edges": 12, "components": 2, "watertight": True},
-    "nancolor.obj": {"n_vertices": 8, "watertight": True},
+    "nancolor.obj": {"n_vertices": 8, "watertight": True, "vertex_colours": False},
     "negative_indices.obj": {"n_polygons": 6, "n_faces": 12, "has_uv": True, "watertight": True},
     # its three boxes overlap; their node transforms keep all triangles apart
     "nested.glb": {"n_faces": 36, "components": 3, "watertight": True},
@@ -74,6 +77,9 @@ def check_sound(mesh, report):
     assert mesh.n_faces == report.n_faces
     if mesh.uv is not None:
         assert np.isfinite(mesh.uv).all()
+    assert report.vertex_colours == (mesh.colours is not None)
+    if mesh.colours is not None:
+        assert ((mesh.colours >= 0.0) & (mesh.colours <= 1.0)).all()
     if report.watertight and report.components == 1:
         assert signed_volume(mesh) > 0.0
     # every vertex is accounted for, unless faces that were dropped took it along
@@ -84,6 +90,7 @@ def check_sound(mesh, report):
         report.n_file_triangles
     )
     splits = report.uv_seam_vertices + report.normal_split_vertices + report.crease_vertices
+    splits += report.colour_split_vertices
     assert report.n_vertices - splits == len(np.unique(mesh.positions, axis=0))
 
 
@@ -182,6 +189,30 @@ def test_spot_keeps_its_seams_and_shares_normals(data_dir):
     _, place = np.unique(mesh.positions, axis=0, return_inverse=True)
     for vertices in (np.flatnonzero(place == seam) for seam in range(place.max() + 1)):
         assert (mesh.normals[vertices] == mesh.normals[vertices[0]]).all()
+
+
+@pytest.mark.real_data
+def test_a_colour_that_is_no_number_is_named(data_dir):
+    _, report = load_mesh((data_dir / "meshes" / "hard" / "nancolor.obj").read_bytes(), "obj")
+    (warning,) = report.warnings
+    assert "vertex 6 (counted from 0) has (nan, nan, nan)" in warning
+
+
+@pytest.mark.real_data
+def test_colours_are_those_of_trimesh(data_dir):
+    """Two files whose colours trimesh reads as they are: as bytes, and as floats it rounds."""
+    for path, format in (("hard/cubevc.glb", "glb"), ("hard/cycloidal.ply", "ply")):
+        data = (data_dir / "meshes" / path).read_bytes()
+        mesh, report = load_mesh(data, format)
+        (other,) = trimesh.load_scene(
+            BytesIO(data), file_type=format, process=False
+        ).geometry.values()
+        codes = np.asarray(other.visual.vertex_colors)[:, :3] / 255.0
+        theirs = srgb_to_linear(codes) if report.colour_encoding == "srgb" else codes
+        rows = np.hstack([np.asarray(other.vertices), theirs])
+        # bytes of linear values are off by half a step
+        distances, _ = cKDTree(rows).query(np.hstack([mesh.positions, mesh.colours]))
+        assert distances.max() <= 0.5 * np.sqrt(3.0) / 255.0
 
 
 @pytest.mark.real_data

@@ -116,6 +116,21 @@ def test_coloured_albedo_and_one_channel_textures(scene: Asset, light: np.ndarra
         assert mismatch(gl, cpu, view_of(asset))[0] < INTERIOR
 
 
+def test_vertex_colours_are_interpolated_at_the_pixel(
+    scene: Asset, light: np.ndarray, rng: np.random.Generator
+) -> None:
+    """On a part that does not begin at vertex 0, beside a texture; the other part has none."""
+    glossy, diffuse = scene.parts
+    colours = rng.random((diffuse.n_vertices, 3)).astype(np.float32)
+    asset = replace(scene, parts=(glossy, replace(diffuse, vertex_colours=colours)))
+    with GlRenderer(asset) as gl, CpuRenderer(asset) as cpu, CpuRenderer(scene) as plain:
+        for renderer in (gl, cpu, plain):
+            renderer.set_light(light)
+        assert mismatch(gl, cpu, view_of(asset))[0] < INTERIOR
+        # the negative twin: without them the picture is another
+        assert mismatch(gl, plain, view_of(asset))[0] > 20 * INTERIOR
+
+
 def test_triangles_are_black_from_behind(scene: Asset, light: np.ndarray) -> None:
     below = pinhole(
         Camera(eye=(0.0, -4.0, 0.5), target=(0, 0, 0)),

@@ -117,6 +117,41 @@ def test_an_artefact_of_another_kind_is_refused(
         assert wrong in answer.json()["detail"]
 
 
+@pytest.mark.parametrize(
+    ("tessellation", "understood", "model", "why"),
+    [
+        (21, {"vertex_colours": True}, "lambert", None),
+        (22, {"vertex_colours": True}, "ggx", "lambert"),
+        (23, {"vertex_colours": False}, "lambert", "no usable vertex colours"),
+        # parsed before colours were read
+        (24, {}, "lambert", "no usable vertex colours"),
+    ],
+)
+def test_vertex_colours_need_a_coloured_mesh_and_a_lambert_brdf(
+    service: LiveService,
+    http,
+    tessellation: int,
+    understood: dict[str, bool],
+    model: str,
+    why: str | None,
+) -> None:
+    # a mesh of its own: what is registered twice is the same resource
+    body = {"builtin": {"name": "teapot", "tessellation": tessellation}}
+    made = http.post("/v1/meshes", json=body).json()
+    canonical = service.backend.blobs.put_bytes(b"a coloured mesh")
+    service.succeed(f"parse-{made['id']}", {"canonical": canonical, "understood": understood})
+    body = {"kind": "bake", "mesh": made["id"], "brdf": {"model": model}}
+    answer = http.post("/v1/jobs", json=body | {"vertex_colours": True})
+    if why is None:
+        assert answer.status_code == 202, answer.text
+        assert answer.json()["request"]["vertex_colours"] is True
+        return
+    assert (answer.status_code, answer.json()["pointer"]) == (400, "/vertex_colours")
+    assert why in answer.json()["detail"]
+    # it is the colours that are refused
+    assert http.post("/v1/jobs", json=body).status_code == 202
+
+
 @pytest.mark.parametrize("registered", [False, True])
 @pytest.mark.parametrize("model", ["lambert", "ggx"])
 def test_a_texture_needs_a_lambert_brdf(

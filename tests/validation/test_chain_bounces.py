@@ -170,18 +170,26 @@ def test_the_noise_of_the_line_is_that_of_the_paths(corner, left_out):
     assert apart == pytest.approx(said, rel=0.3)
 
 
-def test_textures_colour_the_indirect_light(corner, direct):
-    """Light of one bounce meets the texture twice; binary fractions, so nothing is rounded."""
-    shade = np.array([0.5, 0.25, 1.0])
+@pytest.mark.parametrize("source", ["texture", "vertices", "both"])
+def test_textures_and_vertices_colour_the_indirect_light(corner, direct, source):
+    """Light of one bounce meets the colour twice; binary fractions, so no texel is rounded."""
+    tint = np.array([0.5, 0.25, 1.0], np.float32)
     asset = corner.finest
-    part = replace(asset.parts[0], albedo_texture=shade.astype(np.float32)[None, None])
+    part = asset.parts[0]
+    if source != "vertices":
+        part = replace(part, albedo_texture=tint[None, None])
+    if source != "texture":
+        part = replace(part, vertex_colours=np.tile(tint, (part.n_vertices, 1)))
+    shade = tint.astype(np.float64) ** (2 if source == "both" else 1)
     textured = replace(
         corner,
         exact=replace(asset, parts=(part,), uv=np.zeros((len(asset.positions), 2), np.float32)),
     )
     plain = indirect_of(view_of(corner, bounces=1), direct)
     coloured = view_of(textured, bounces=1).chain[0].passes - shade * direct.chain[0].passes
-    np.testing.assert_allclose(coloured, shade**2 * plain, rtol=1e-9, atol=1e-12)
+    # barycentrics are float32, and their sum is 1 within 1e-7
+    atol = 1e-12 if source == "texture" else 1e-6 * plain.max()
+    np.testing.assert_allclose(coloured, shade**2 * plain, rtol=1e-9, atol=atol)
 
 
 def test_the_request_decides_on_the_bounces(corner, direct):

@@ -142,10 +142,13 @@ class Asset:
         return shade(self.data, lit, triangles, barycentrics, wo_world)
 
     def _albedo(self, part: arrays.Part) -> F32:
-        if part.albedo_texture is None or self.data.uv is None:
-            return part.albedo[None]
-        texel = lookup_repeating(part.albedo_texture, self.data.uv[slice(*part.vertex_range)])
-        return np.asarray(part.albedo[None] * texel)
+        albedo = part.albedo[None]
+        if part.albedo_texture is not None and self.data.uv is not None:
+            uv = self.data.uv[slice(*part.vertex_range)]
+            albedo = albedo * lookup_repeating(part.albedo_texture, uv)
+        if part.vertex_colours is not None:
+            albedo = albedo * part.vertex_colours
+        return albedo
 
 
 def _matrix(rotation: ArrayLike | None) -> F64 | None:

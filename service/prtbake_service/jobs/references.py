@@ -104,6 +104,8 @@ class Resolver:
                 "medium",
                 pointer="/subsurface",
             )
+        if request.vertex_colours:
+            _check_colours(brdf["spec"], mesh["understood"])
         return {"mesh": mesh, "brdf": brdf, "albedo_texture": request.albedo_texture}
 
     def _resource(self, kind: str, resource_id: str) -> Context:
@@ -150,6 +152,20 @@ class Resolver:
             self._backend.uploads.get(digest, project=self._project)
         except NotFound as error:
             raise NotFound(f"{digest} has not been uploaded", pointer=pointer) from error
+
+
+def _check_colours(spec: Context, understood: Context) -> None:
+    """Refuse vertex colours before the plan would: the job may wait for long until then."""
+    if spec.get("model") != "lambert":
+        raise SettingsError(
+            "vertex colours need a lambert BRDF: they multiply the whole reflectance",
+            pointer="/vertex_colours",
+        )
+    if not understood.get("vertex_colours"):
+        raise SettingsError(
+            "the mesh has no usable vertex colours: its warnings say why, if its file holds any",
+            pointer="/vertex_colours",
+        )
 
 
 def _usable(resource: Resource, pointer: str) -> Context:

@@ -59,6 +59,8 @@ class _SceneRequest(_Request):
     albedo_texture: Digest | None = None
     subsurface: Subsurface | None = None
     """Light that scatters inside the object, whose BRDF is then Lambert."""
+    vertex_colours: bool = False
+    """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
     receiver: ReceiverPlane | None = None
     effects: Effects = Effects()
 

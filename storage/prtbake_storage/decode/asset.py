@@ -49,6 +49,9 @@ class Surface:
         (1,) or (3,) multiplies every colour of the part.
     albedo_texture
         (height, width, 3) linear Rec.709, row 0 at v = 1, repeated outside [0, 1]; or None.
+    vertex_colours
+        (verts, 3) linear Rec.709 in [0, 1], interpolated over the triangles; or None.  All three
+        multiply.
     factorisation
         The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
     n_channels
@@ -60,6 +63,7 @@ class Surface:
     material: Mapping[str, Any]
     albedo: F32
     albedo_texture: F32 | None = None
+    vertex_colours: F32 | None = None
     factorisation: Mapping[str, Any] | None = None
     n_channels: int = 1
 
@@ -132,9 +136,9 @@ class Part(Surface):
 
     @property
     def nbytes(self) -> dict[str, int]:
-        """Bytes in memory: ``factors``, ``view_texture``, ``frames``, ``albedo_texture``."""
+        """Bytes in memory: ``factors``, and each array of the surface by its name."""
         sizes = {"factors": sum(array.nbytes for _, array in self.factors())}
-        for name in ("view_texture", "frames", "albedo_texture"):
+        for name in ("view_texture", "frames", "albedo_texture", "vertex_colours"):
             array = getattr(self, name)
             sizes[name] = 0 if array is None else int(array.nbytes)
         return sizes
@@ -280,6 +284,9 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
     if part.albedo_texture is not None:
         _shape(f"{where}/albedo_texture", part.albedo_texture,
                (*part.albedo_texture.shape[:2], 3))  # fmt: skip
+    if part.vertex_colours is not None:
+        _shape(f"{where}/vertex_colours", part.vertex_colours, (verts, 3))
+        _fractions(f"{where}/vertex_colours", part.vertex_colours)
 
 
 def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
@@ -297,6 +304,13 @@ def _finite(name: str, array: NDArray[Any]) -> None:
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{name} is not finite at {place}")
+
+
+def _fractions(name: str, array: NDArray[Any]) -> None:
+    bad = np.argwhere((array < 0.0) | (array > 1.0))
+    if bad.size:
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name} is {array[place]} at {place}, outside [0, 1]")
 
 
 def _indices(name: str, array: NDArray[Any], stop: int) -> None:

@@ -199,7 +199,11 @@ def _seen_from_front(
 
 
 def _albedo(asset: Asset, part: Part, corners: I32, weights: F32) -> F32:
-    if part.albedo_texture is None or asset.uv is None:
-        return part.albedo[None]
-    uv = np.einsum("nc,nci->ni", weights, asset.uv[corners])
-    return part.albedo[None] * lookup_repeating(part.albedo_texture, uv)
+    albedo = part.albedo[None]
+    if part.albedo_texture is not None and asset.uv is not None:
+        uv = np.einsum("nc,nci->ni", weights, asset.uv[corners])
+        albedo = albedo * lookup_repeating(part.albedo_texture, uv)
+    if part.vertex_colours is not None:
+        own = part.vertex_colours[corners - part.vertex_range[0]]
+        albedo = albedo * np.einsum("nc,nck->nk", weights, own)
+    return albedo

@@ -22,7 +22,8 @@ I32 = NDArray[np.int32]
 class MeshFile:
     """A repaired mesh: positions (verts, 3), faces (tris, 3), unit normals, uv (verts, 2) or None.
 
-    ``report`` is what parsing found and mended.
+    ``report`` is what parsing found and mended; ``colours`` (verts, 3) are linear Rec.709 in
+    [0, 1], or None.
     """
 
     positions: F64
@@ -30,6 +31,7 @@ class MeshFile:
     normals: F64
     uv: F64 | None
     report: Mapping[str, Any] = field(default_factory=dict)
+    colours: F32 | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ def write_mesh(path: Path, mesh: MeshFile) -> None:
     """Write the canonical file of a mesh."""
     with h5.new_file(path, "mesh") as file:
         put_mesh(file, mesh.positions, mesh.faces, mesh.normals, mesh.uv)
+        put_colours(h5.child(file, "mesh"), "colours", mesh.colours)
         h5.put_json(file, "provenance", dict(mesh.report))
 
 
@@ -57,8 +60,9 @@ def read_mesh(path: Path) -> MeshFile:
     """
     with h5.open_file(path, "mesh") as file:
         positions, faces, normals, uv = get_mesh(file)
+        colours = get_colours(h5.child(file, "mesh"), "colours", len(positions))
         report = h5.get_object(file, "provenance")
-    return MeshFile(positions, faces, normals, uv, report)
+    return MeshFile(positions, faces, normals, uv, report, colours)
 
 
 def write_environment(path: Path, environment: EnvironmentFile) -> None:
@@ -127,6 +131,23 @@ def put_directions(group: Any, name: str, directions: NDArray[Any]) -> None:
     written = h5.put(group, name, directions, "verts xyz")
     if directions.dtype == np.int16:
         h5.set_attribute(written, "scale", 1.0 / INT16_MAX)
+
+
+def put_colours(group: Any, name: str, colours: F32 | None) -> None:
+    """Write linear vertex colours (verts, 3) in 32 bits; nothing for None."""
+    if colours is not None:
+        h5.put(group, name, colours.astype(np.float32), "verts channels")
+
+
+def get_colours(group: Any, name: str, n_vertices: int) -> F32 | None:
+    """Read vertex colours; None where the file has none."""
+    if not h5.has(group, name):
+        return None
+    colours: F32 = h5.get(group, name, "f", (n_vertices, 3)).astype(np.float32)
+    outside = np.flatnonzero(((colours < 0.0) | (colours > 1.0)).any(axis=1))
+    if outside.size:
+        raise CorruptArtefact(f"{group.name}/{name}: vertex {outside[0]} leaves [0, 1]")
+    return colours
 
 
 def get_mesh(file: Any) -> tuple[F64, I32, F64, F64 | None]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from prtbake_storage.decode.asset import CHANNEL_COUNTS, Surface
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
+from prtbake_storage.hdf5.resources import get_colours, put_colours
 
 F32 = NDArray[np.float32]
 
@@ -27,6 +28,7 @@ def put_surface(group: h5py.Group, surface: Surface) -> None:
     if surface.albedo_texture is not None:
         texture = surface.albedo_texture.astype(np.float32)
         h5.put(group, "albedo_texture", texture, "height width channels")
+    put_colours(group, "vertex_colours", surface.vertex_colours)
     if surface.factorisation is not None:
         put_tables(h5.group(group, "factorisation"), surface.factorisation)
 
@@ -54,6 +56,7 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
         "material": h5.get_object(group, "material"),
         "albedo": albedo,
         "albedo_texture": texture,
+        "vertex_colours": get_colours(group, "vertex_colours", stop - start),
         "factorisation": tables,
         "n_channels": n_channels,
     }

@@ -14,6 +14,7 @@ from prtbake_workers.geometry.raw_mesh import MeshLimits
 
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 _MAX_HEADER_BYTES = 1 << 16
+_LARGEST = {"uchar": 255, "uint8": 255, "ushort": 65535, "uint16": 65535}
 
 
 def check_ply(data: bytes, limits: MeshLimits) -> None:
@@ -23,6 +24,7 @@ def check_ply(data: bytes, limits: MeshLimits) -> None:
         raise MeshError("PLY: the file has no header, or one that does not end")
     elements: list[tuple[str, int]] = []
     n_face_properties = 0
+    vertex_properties: list[list[str]] = []
     header = data[:end].decode("latin-1").splitlines()
     for number, line in enumerate(header, start=1):
         words = line.split()
@@ -30,6 +32,8 @@ def check_ply(data: bytes, limits: MeshLimits) -> None:
             raise MeshError(f"PLY: line {number} of the header is empty")
         if words[0] == "property" and elements and elements[-1][0] == "face":
             n_face_properties += 1
+        if words[0] == "property" and elements and elements[-1][0] == "vertex":
+            vertex_properties.append(words)
         if words[0] != "element":
             continue
         if len(words) != 3 or not words[2].isdecimal():
@@ -49,6 +53,7 @@ def check_ply(data: bytes, limits: MeshLimits) -> None:
             )
     if any(b"ascii" in line for line in data[:end].splitlines()[1:2]):
         _check_ply_rows(data, len(header), elements, n_face_properties, limits)
+        _check_ply_codes(data, len(header), elements, vertex_properties)
 
 
 def _check_ply_rows(
@@ -74,6 +79,46 @@ def _check_ply_rows(
                     raise MeshError(f"{where}: '{line[:60]}' is not a face")
                 limits.check_polygon(int(size), where)
         start += count
+
+
+def _check_ply_codes(
+    data: bytes,
+    n_header: int,
+    elements: list[tuple[str, int]],
+    properties: list[list[str]],
+) -> None:
+    """Refuse colours of a text PLY that are no codes of their type: they would come out wrapped."""
+    if any(words[1:2] == ["list"] for words in properties):
+        # then a vertex has no fixed columns
+        return
+    columns = {
+        place: (words[1], _LARGEST[words[1]])
+        for place, words in enumerate(properties)
+        if len(words) == 3 and words[1] in _LARGEST and words[2].endswith(("red", "green", "blue"))
+    }
+    if not columns:
+        return
+    names = [name for name, _ in elements]
+    at = names.index("vertex")
+    start = sum(count for _, count in elements[:at])
+    rows = data.decode("latin-1").splitlines()[n_header + 1 + start :]
+    for vertex, line in enumerate(rows[: elements[at][1]]):
+        words = line.split()
+        for place, (kind, largest) in columns.items():
+            if place < len(words) and not _is_code(words[place], largest):
+                raise MeshError(
+                    f"PLY: line {n_header + 2 + start + vertex}: the colour "
+                    f"'{words[place][:20]}' of vertex {vertex} (counted from 0) is no {kind}"
+                )
+
+
+def _is_code(word: str, largest: int) -> bool:
+    """Whether a word is a whole number from 0 to ``largest``, written as a fraction or not."""
+    try:
+        value = float(word)
+    except ValueError:
+        return False
+    return 0 <= value <= largest and value == int(value)
 
 
 def check_ply_lists(mesh: Any) -> None:
@@ -108,19 +153,7 @@ def check_stl(data: bytes, limits: MeshLimits) -> None:
 
 def check_off(data: bytes, limits: MeshLimits) -> None:
     """Refuse an OFF whose counts exceed its lines, and polygons with too many corners."""
-    lines = [
-        (number, line.split("#", 1)[0].strip())
-        for number, line in enumerate(data.decode("latin-1").splitlines(), start=1)
-    ]
-    lines = [(number, line) for number, line in lines if line]
-    if not lines or lines[0][1].split()[0] not in ("OFF", "COFF"):
-        raise MeshError("OFF: the file does not begin with 'OFF' or 'COFF'")
-    # the counts may follow the keyword on its own line
-    number, counts = (
-        (lines[0][0], lines[0][1].split(None, 1)[1]) if len(lines[0][1].split()) > 1
-        else lines[1] if len(lines) > 1 else (lines[0][0], "")
-    )  # fmt: skip
-    body = lines[1:] if len(lines[0][1].split()) > 1 else lines[2:]
+    _, (number, counts), body = split_off(data)
     words = counts.split()
     if len(words) < 2 or not all(word.isdecimal() for word in words[:2]):
         raise MeshError(f"OFF: line {number}: '{counts[:60]}' does not give the counts")
@@ -147,3 +180,20 @@ def check_off(data: bytes, limits: MeshLimits) -> None:
                 f"OFF: line {number}: corner {outside[0]} points nowhere; the file has "
                 f"{n_vertices} vertices"
             )
+
+
+def split_off(data: bytes) -> tuple[str, tuple[int, str], list[tuple[int, str]]]:
+    """Give keyword, counts and the lines after them; those that say something, with numbers."""
+    lines = [
+        (number, line.split("#", 1)[0].strip())
+        for number, line in enumerate(data.decode("latin-1").splitlines(), start=1)
+    ]
+    lines = [(number, line) for number, line in lines if line]
+    if not lines or lines[0][1].split()[0] not in ("OFF", "COFF"):
+        raise MeshError("OFF: the file does not begin with 'OFF' or 'COFF'")
+    (first, title), *rest = lines
+    keyword, *counts = title.split(None, 1)
+    # the counts may follow the keyword on its own line
+    if counts:
+        return keyword, (first, counts[0]), rest
+    return keyword, rest[0] if rest else (first, ""), rest[1:]

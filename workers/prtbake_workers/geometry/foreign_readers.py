@@ -20,9 +20,11 @@ from prtbake_workers.geometry.file_checks import (
     check_ply_lists,
     check_stl,
 )
+from prtbake_workers.geometry.file_colours import glb_colours, off_colours, ply_colours
 from prtbake_workers.geometry.glb_guard import NORMAL_ATTRIBUTE, UV_ATTRIBUTE, guard_glb
 from prtbake_workers.geometry.ply_normals import ply_normals
 from prtbake_workers.geometry.raw_mesh import MeshLimits, RawMesh
+from prtbake_workers.geometry.vertex_colours import RawColours, join_colours
 
 # what trimesh is known to raise on files that it cannot read
 _READ_ERRORS = (
@@ -62,6 +64,7 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
     faces: list[I64] = []
     uvs: list[F64] = []
     normals: list[F64] = []
+    colours: list[RawColours | None] = []
     n_vertices = 0
     for mesh, transform in parts:
         points = np.asarray(mesh.vertices, np.float64)
@@ -85,6 +88,12 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
         faces.append(triangles + n_vertices)
         uvs.append(_uv_of(mesh, len(points)))
         normals.append(_normals_of(mesh, len(points), transform[:3, :3]))
+        if format == "ply":
+            colours.append(ply_colours(mesh, notes))
+        elif format == "off":
+            colours.append(off_colours(data))
+        else:
+            colours.append(glb_colours(mesh, len(points)))
         n_vertices += len(points)
     if not positions:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), warnings=notes)
@@ -96,6 +105,7 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
         uv if np.isfinite(uv).any() else None,
         warnings=notes,
         normals=normal if np.isfinite(normal).any() else None,
+        colours=join_colours(colours, [len(part) for part in positions]),
     )
 
 

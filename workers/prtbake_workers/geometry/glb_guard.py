@@ -21,6 +21,9 @@ together with a material, and materials bring pictures."""
 NORMAL_ATTRIBUTE = "_PRTBAKE_NORMAL"
 """NORMAL goes the same way: trimesh would compute normals where a part has none."""
 
+COLOUR_ATTRIBUTE = "_PRTBAKE_COLOUR"
+"""COLOR_0 goes the same way: trimesh would round it to bytes."""
+
 MAX_OVERLAP = 16
 """Views of one file share its bytes at most this many times; well-made files do not share them."""
 
@@ -31,6 +34,10 @@ _TYPE_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _FLOAT = 5126
 _NORMAL_COMPONENTS = (5120, 5122, 5126)
 """Signed bytes and shorts are normals times 127 and 32767: their direction is right as it is."""
+
+_COLOUR_COMPONENTS = (5121, 5123, 5126)
+"""Bytes, shorts and floats; whole numbers are normalised whether the file says so or not, as the
+format demands it [Khronos2021]_ 3.7.2.1."""
 
 
 def guard_glb(data: bytes, limits: MeshLimits) -> tuple[bytes, list[str]]:
@@ -162,12 +169,20 @@ def _keep_primitive(
         _check_accessor(header, attributes["TEXCOORD_0"], f"{where}.TEXCOORD_0", n_bytes, "VEC2")
         kept["attributes"][UV_ATTRIBUTE] = attributes["TEXCOORD_0"]
     if "NORMAL" in attributes:
-        if _normals_are_plain(header, attributes["NORMAL"], f"{where}.NORMAL"):
-            index, place = attributes["NORMAL"], f"{where}.NORMAL"
+        index, place = attributes["NORMAL"], f"{where}.NORMAL"
+        if _is_plain(header, index, place, "VEC3", _NORMAL_COMPONENTS):
             _check_accessor(header, index, place, n_bytes, "VEC3", _NORMAL_COMPONENTS)
             kept["attributes"][NORMAL_ATTRIBUTE] = index
         else:
             warnings.append(f"{where}: NORMAL is packed in a way that is not read: computed")
+    if "COLOR_0" in attributes:
+        index, place = attributes["COLOR_0"], f"{where}.COLOR_0"
+        kind = _item(_list(header, "accessors"), index, place).get("type")
+        if kind in ("VEC3", "VEC4") and _is_plain(header, index, place, kind, _COLOUR_COMPONENTS):
+            _check_accessor(header, index, place, n_bytes, kind, _COLOUR_COMPONENTS)
+            kept["attributes"][COLOUR_ATTRIBUTE] = index
+        else:
+            warnings.append(f"{where}: COLOR_0 is packed in a way that is not read: left out")
     if "indices" in primitive:
         _check_accessor(header, primitive["indices"], f"{where}.indices", n_bytes, "SCALAR")
         kept["indices"] = primitive["indices"]
@@ -194,9 +209,9 @@ def _keep_used(
     # each view is copied once and each accessor twice: overlapping ones multiply the file
     n_elements = sum(accessors[index]["count"] for index in used)
     n_view_bytes = sum(views[index]["byteLength"] for index in used_views)
-    # three indices a triangle, three attributes a vertex
+    # three indices a triangle, four attributes a vertex
     if (
-        n_elements > 3 * (limits.triangles + limits.vertices)
+        n_elements > 3 * limits.triangles + 4 * limits.vertices
         or n_view_bytes > MAX_OVERLAP * n_bytes
     ):
         raise TooLarge(
@@ -213,12 +228,14 @@ def _keep_used(
     )
 
 
-def _normals_are_plain(header: dict[str, Any], index: Any, where: str) -> bool:
-    """Whether normals can be read; where not they can be computed, so the file is not refused."""
+def _is_plain(
+    header: dict[str, Any], index: Any, where: str, kind: str, components: tuple[int, ...]
+) -> bool:
+    """Whether an attribute can be read that the mesh can do without, so that none is refused."""
     accessor = _item(_list(header, "accessors"), index, where)
     return (
-        accessor.get("type") == "VEC3"
-        and accessor.get("componentType") in _NORMAL_COMPONENTS
+        accessor.get("type") == kind
+        and accessor.get("componentType") in components
         and "sparse" not in accessor
         and "bufferView" in accessor
     )

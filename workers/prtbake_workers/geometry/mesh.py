@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from prtbake_workers.arrays import F64, I32, I64, Float64, Int, Int32
+from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int, Int32
 
 UP = (0.0, 1.0, 0.0)
 
@@ -21,19 +21,22 @@ class Mesh:
     faces
         Corner indices, counter-clockwise seen from outside.
     normals
-        Unit vertex normals, equal for vertices that differ in UV alone.
+        Unit vertex normals, equal for vertices that differ in UV or colour alone.
     uv
         Texture coordinates, origin at the lower left, or None.
+    colours
+        Linear Rec.709 in [0, 1], or None.
     """
 
     positions: Float64[F64, "verts 3"]
     faces: Int32[I32, "tris 3"]
     normals: Float64[F64, "verts 3"]
     uv: Float64[F64, "verts 2"] | None = None
+    colours: Float32[F32, "verts 3"] | None = None
 
     @property
     def n_vertices(self) -> int:
-        """Number of vertices; splits by UV, normal or crease count."""
+        """Number of vertices; splits by UV, normal, crease or colour count."""
         return len(self.positions)
 
     @property

@@ -14,7 +14,9 @@ class MeshReport:
     texture coordinates, the file's normals and the creases call for.  ``has_normals`` says that
     normals of the file are in use; ``replaced_normals`` of its vertices had one that could not be
     used, ``vertices_without_normal`` had none, and ``turned_normals`` had one that was turned over
-    with all the faces there.
+    with all the faces there.  ``vertex_colours`` says that the mesh has usable ones, which
+    ``colour_encoding`` of the file was read as sRGB codes or as linear; ``colour_split_vertices``
+    are those beyond one a position, texture coordinate and normal that they call for.
     """
 
     format: str = ""
@@ -25,6 +27,8 @@ class MeshReport:
     n_faces: int = 0
     has_uv: bool = False
     has_normals: bool = False
+    vertex_colours: bool = False
+    colour_encoding: str | None = None
     unreferenced_vertices: int = 0
     duplicate_vertices: int = 0
     uv_seam_vertices: int = 0
@@ -33,6 +37,9 @@ class MeshReport:
     vertices_without_normal: int = 0
     replaced_normals: int = 0
     turned_normals: int = 0
+    colour_split_vertices: int = 0
+    vertices_without_colour: int = 0
+    clamped_colours: int = 0
     crease_edges: int = 0
     crease_vertices: int = 0
     short_faces: int = 0
@@ -87,4 +94,12 @@ class MeshReport:
         if self.has_normals and self.vertices_without_normal:
             self.warnings.append(
                 f"{self.vertices_without_normal} vertices have no normal in the file: computed"
+            )
+        if self.vertices_without_colour:
+            self.warnings.append(
+                f"{self.vertices_without_colour} vertices have no colour in the file: white"
+            )
+        if self.clamped_colours:
+            self.warnings.append(
+                f"{self.clamped_colours} vertices have a colour outside [0, 1]: clamped"
             )

@@ -4,6 +4,7 @@ Own reader, because trimesh refuses relative indices, drops the line number from
 follows ``mtllib``.  No other file is ever opened from here.
 """
 
+import math
 from array import array
 from collections.abc import Iterator
 
@@ -13,6 +14,7 @@ from prtbake_storage.errors import MeshError, PrtError
 from prtbake_workers.arrays import F64, I64
 from prtbake_workers.geometry.polygons import triangulate
 from prtbake_workers.geometry.raw_mesh import MeshLimits, RawMesh
+from prtbake_workers.geometry.vertex_colours import RawColours
 
 _NONE, _BELOW = -1, -2
 _MEANING = {
@@ -27,6 +29,8 @@ class _Contents:
 
     def __init__(self) -> None:
         self.positions = array("d")
+        self.colours = array("d")
+        self.coloured = array("q")
         self.uv = array("d")
         self.normals = array("d")
         self.corner_positions = array("q")
@@ -51,8 +55,10 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
     -------
     RawMesh
         Polygons cut into triangles, relative (negative) indices resolved, vertices split by
-        texture coordinate and normal.  Materials, groups and colours are not read.  A normal that
-        cannot be read does not make the file unreadable: the repair computes another.
+        texture coordinate and normal.  Materials and groups are not read.  Colours, ``v x y z r g
+        b``, are taken as sRGB codes, which is what Blender and MeshLab write; the format does not
+        say.  A normal or colour that cannot be read does not make the file unreadable: the repair
+        computes normals and leaves colours out.
 
     Raises
     ------
@@ -94,7 +100,20 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
         n_short_faces=len(contents.short_faces),
         warnings=warnings,
         normals=np.vstack([normals, [np.nan] * 3])[normal_of] if len(normals) else None,
+        colours=None if (colours := _colours(contents)) is None else colours.take(label),
     )
+
+
+def _colours(contents: _Contents) -> RawColours | None:
+    """Give the colours of the lines ``v``; None where no line has one."""
+    if not contents.coloured:
+        return None
+    rows = np.frombuffer(contents.coloured, np.int64)
+    n = len(contents.positions) // 3
+    values, given = np.ones((n, 3)), np.zeros(n, np.bool_)
+    values[rows] = np.frombuffer(contents.colours, np.float64).reshape(-1, 3)
+    given[rows] = True
+    return RawColours(values, given, "srgb")
 
 
 def _usable_normals(contents: _Contents, lines: I64, warnings: list[str]) -> tuple[F64, I64]:
@@ -156,6 +175,9 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
             if keyword == "v":
                 x, y, z = values[:3]
                 positions.extend((float(x), float(y), float(z)))
+                if len(values) > 5:
+                    contents.colours.extend(_read_three(values[3:], math.nan))
+                    contents.coloured.append(n_positions)
                 n_positions += 1
                 if n_positions > limits.vertices:
                     limits.check(vertices=n_positions)
@@ -165,7 +187,8 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
                 uvs.extend((float(u), float(v)))
                 n_uvs += 1
             elif keyword == "vn":
-                normals.extend(_read_normal(values))
+                # no surface has the normal 0 0 0
+                normals.extend(_read_three(values, 0.0))
                 n_normals += 1
             elif keyword == "f":
                 if len(values) < 3:
@@ -203,13 +226,13 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
     return contents
 
 
-def _read_normal(values: list[str]) -> tuple[float, float, float]:
-    """Read a normal; 0 0 0, which no surface has, where it is not three numbers."""
+def _read_three(values: list[str], instead: float) -> tuple[float, float, float]:
+    """Read three numbers; thrice ``instead`` where they are none."""
     try:
         x, y, z = values[:3]
         return float(x), float(y), float(z)
     except ValueError:
-        return 0.0, 0.0, 0.0
+        return instead, instead, instead
 
 
 def _split_lines(data: bytes) -> Iterator[tuple[int, list[str]]]:

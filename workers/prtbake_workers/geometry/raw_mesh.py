@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from prtbake_storage.errors import MeshError, TooLarge
 from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_workers.geometry.vertex_colours import RawColours
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class RawMesh:
     normals
         Vertex normals of any length, NaN where a vertex has none and 0 0 0 where that of the file
         is not finite; None where no vertex has any.
+    colours
+        Vertex colours; None where no vertex has any.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -66,3 +69,4 @@ class RawMesh:
     n_short_faces: int = 0
     warnings: list[str] = field(default_factory=list)
     normals: Float64[F64, "verts 3"] | None = None
+    colours: RawColours | None = None

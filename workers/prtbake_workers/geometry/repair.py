@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prtbake_storage.errors import MeshError, SettingsError
-from prtbake_workers.arrays import B8, F64, I64
+from prtbake_workers.arrays import B8, F32, F64, I64
 from prtbake_workers.geometry.creases import smoothing_groups, split_corners
 from prtbake_workers.geometry.given_normals import complete_normals, settle_normals, unit_normals
 from prtbake_workers.geometry.grouping import group_rows
@@ -13,6 +13,7 @@ from prtbake_workers.geometry.mesh import Mesh, face_area_vectors, vertex_normal
 from prtbake_workers.geometry.mesh_report import MeshReport
 from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.topology import consistent_winding, count_components, find_edges
+from prtbake_workers.geometry.vertex_colours import settle_colours
 
 DEGENERATE_HEIGHT = 2.0**-24
 """A triangle lower than this share of the mesh's diagonal has no direction left once its corners
@@ -35,6 +36,7 @@ class _Vertices:
     positions: F64
     uv: F64 | None
     normals: F64 | None
+    colours: F32 | None
     copies: I64
 
     def take(self, rows: I64) -> "_Vertices":
@@ -43,14 +45,17 @@ class _Vertices:
             self.positions[rows],
             None if self.uv is None else self.uv[rows],
             None if self.normals is None else self.normals[rows],
+            None if self.colours is None else self.colours[rows],
             self.copies[rows],
         )
 
-    def group(self, *, by_normal: bool = True) -> tuple[I64, I64]:
+    def group(self, *, by_normal: bool = True, by_colour: bool = True) -> tuple[I64, I64]:
         """Give equal vertices one number, see `group_rows`."""
         columns = [self.positions] if self.uv is None else [self.positions, self.uv]
         if by_normal and self.normals is not None:
             columns.append(np.nan_to_num(self.normals, nan=_NO_NORMAL))
+        if by_colour and self.colours is not None:
+            columns.append(self.colours.astype(np.float64))
         return group_rows(np.hstack(columns))
 
 
@@ -60,9 +65,9 @@ def repair(
     """Make a mesh that can be baked, and say what was done to it.
 
     In this order: refuse positions that are not finite; drop unreferenced vertices; merge
-    vertices of equal position, texture coordinate and normal; drop degenerate faces, then all but
-    the first of faces with the same three positions; make the winding of each piece consistent and
-    that of closed pieces outward; see to the normals.
+    vertices of equal position, texture coordinate, normal and colour; drop degenerate faces, then
+    all but the first of faces with the same three positions; make the winding of each piece
+    consistent and that of closed pieces outward; see to the normals.
 
     Parameters
     ----------
@@ -125,7 +130,8 @@ def repair(
     report.n_vertices, report.n_faces = len(positions), len(faces)
     report.has_uv = vertices.uv is not None
     report.warn()
-    return Mesh(positions, faces.astype(np.int32), normals, vertices.uv), report
+    mesh = Mesh(positions, faces.astype(np.int32), normals, vertices.uv, vertices.colours)
+    return mesh, report
 
 
 def _file_normals(
@@ -142,9 +148,11 @@ def _file_normals(
         # those turned over, or to be computed, may have become equal
         vertices, faces = _merge_duplicates(vertices, faces, report)
     place, first = group_rows(vertices.positions)
-    n_with_uv = len(vertices.group(by_normal=False)[1])
+    n_with_uv = len(vertices.group(by_normal=False, by_colour=False)[1])
+    n_with_normal = len(vertices.group(by_colour=False)[1])
     report.uv_seam_vertices = n_with_uv - len(first)
-    report.normal_split_vertices = len(place) - n_with_uv
+    report.normal_split_vertices = n_with_normal - n_with_uv
+    report.colour_split_vertices = len(place) - n_with_normal
     if vertices.normals is None:
         return vertices, faces, vertex_normals(vertices.positions, faces, place)
     normals = complete_normals(vertices.positions, faces, place, vertices.normals)
@@ -156,7 +164,9 @@ def _creased_normals(
 ) -> tuple[_Vertices, I64, F64]:
     """Split the vertices along creases, and compute the normals of each smoothing group."""
     place, first = group_rows(vertices.positions)
-    report.uv_seam_vertices = len(place) - len(first)
+    n_with_uv = len(vertices.group(by_colour=False)[1])
+    report.uv_seam_vertices = n_with_uv - len(first)
+    report.colour_split_vertices = len(place) - n_with_uv
     groups, report.crease_edges = smoothing_groups(
         vertices.positions, faces, place, crease_angle_deg
     )
@@ -211,8 +221,18 @@ def _drop_unreferenced(
         normals = unit_normals(raw.normals[used])
         if np.isnan(normals).any(axis=1).all():
             normals = None
-    copies = np.ones(len(used), np.int64)
-    return _Vertices(raw.positions[used] + 0.0, uv, normals, copies), renumber[raw.faces]
+    colours = None
+    if raw.colours is not None:
+        labels = used if raw.vertex_labels is None else raw.vertex_labels[used]
+        colours = settle_colours(raw.colours.take(used), labels, report)
+    vertices = _Vertices(
+        positions=raw.positions[used] + 0.0,
+        uv=uv,
+        normals=normals,
+        colours=colours,
+        copies=np.ones(len(used), np.int64),
+    )
+    return vertices, renumber[raw.faces]
 
 
 def _merge_duplicates(vertices: _Vertices, faces: I64, report: MeshReport) -> tuple[_Vertices, I64]:

@@ -166,6 +166,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 frames=None if factorisation.is_constant_phi else scene.frames[start:stop],
                 albedo_texture=planned.textures[index],
                 subsurface=part["subsurface"],
+                vertex_colours=planned.colours[index],
                 factorisation=factorisation.tables(),
             )
         )

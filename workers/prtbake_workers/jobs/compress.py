@@ -256,6 +256,7 @@ def make_part(
         method=method,
         albedo=part.albedo,
         albedo_texture=part.albedo_texture,
+        vertex_colours=part.vertex_colours,
         view_texture=texture,
         frames=None if part.frames is None else part.frames.astype(np.float32),
         factorisation=part.factorisation,

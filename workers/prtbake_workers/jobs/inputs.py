@@ -24,7 +24,8 @@ PACKAGES = ("prtbake", "numpy", "scipy", "embreex", "trimesh", "h5py")
 def load_mesh(store: BlobStore, digest: str) -> tuple[Mesh, dict[str, Any]]:
     """Load a registered mesh and what parsing found in it."""
     file = read_mesh(store.local_path(digest))
-    return Mesh(file.positions, file.faces, file.normals, file.uv), dict(file.report)
+    mesh = Mesh(file.positions, file.faces, file.normals, file.uv, file.colours)
+    return mesh, dict(file.report)
 
 
 def load_environment(store: BlobStore, digest: str) -> Environment:

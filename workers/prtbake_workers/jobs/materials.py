@@ -27,6 +27,8 @@ class PartInput:
         Linear, (height, width, 3); None for none.
     subsurface
         What scatters inside, a `Subsurface` as JSON; None for nothing.
+    vertex_colours
+        Linear, (verts, 3), where they are asked for; None for none.
     """
 
     name: str
@@ -35,6 +37,7 @@ class PartInput:
     brdf: dict[str, Any]
     albedo_texture: F32 | None = None
     subsurface: dict[str, Any] | None = None
+    vertex_colours: F32 | None = None
 
 
 def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
@@ -43,18 +46,24 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
     Raises
     ------
     SettingsError
-        An albedo texture or a medium that nothing can be done with.
+        An albedo texture, vertex colours or a medium that nothing can be done with.
     """
     texture = None
     if args["albedo_texture"] is not None:
         _check_texture(args["brdf"], mesh.uv is not None)
         texture = load_texture(store, args["albedo_texture"])
+    colours = None
+    if args["vertex_colours"]:
+        _check_colours(args["brdf"], has_colours=mesh.colours is not None)
+        colours = mesh.colours
     if args["subsurface"] is not None and args["brdf"]["model"] != "lambert":
         raise SettingsError(
             "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the medium",
             pointer="/subsurface",
         )
-    parts = [PartInput("object", "object", mesh, args["brdf"], texture, args["subsurface"])]
+    parts = [
+        PartInput("object", "object", mesh, args["brdf"], texture, args["subsurface"], colours)
+    ]
     if args["receiver"] is not None:
         receiver = ReceiverPlane.model_validate(args["receiver"])
         plane = receiver_plane(
@@ -79,3 +88,13 @@ def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
             "an albedo texture needs texture coordinates, which the mesh lacks",
             pointer="/albedo_texture",
         )
+
+
+def _check_colours(spec: dict[str, Any], *, has_colours: bool) -> None:
+    if spec["model"] != "lambert":
+        raise SettingsError(
+            "vertex colours need a lambert BRDF: they multiply the whole reflectance",
+            pointer="/vertex_colours",
+        )
+    if not has_colours:
+        raise SettingsError("the mesh has no usable vertex colours", pointer="/vertex_colours")

@@ -30,7 +30,7 @@ from prtbake_workers.transport.surface import OpaqueSurface
 _MODULE = "prtbake_workers.jobs.plan"
 MEMORY_BYTES = 12 << 30
 CPU_SECONDS = 900
-INPUTS = ("mesh", "brdf", "albedo_texture", "subsurface", "receiver")
+INPUTS = ("mesh", "brdf", "albedo_texture", "subsurface", "vertex_colours", "receiver")
 """Arguments that say what a scene is made of."""
 
 
@@ -43,6 +43,7 @@ def arguments(
         "brdf": context["brdf"]["spec"],
         "albedo_texture": context.get("albedo_texture"),
         "subsurface": request.get("subsurface"),
+        "vertex_colours": request.get("vertex_colours", False),
         "receiver": request.get("receiver"),
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
@@ -70,6 +71,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     parts = part_inputs(args, mesh, store)
     meshes, names = [part.mesh for part in parts], [part.name for part in parts]
     textures = tuple(part.albedo_texture for part in parts)
+    colours = tuple(part.vertex_colours for part in parts)
     scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
     requested = Effects.model_validate(args["effects"])
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
@@ -101,7 +103,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scene,
         accelerator,
         factorisations=within,
-        albedo=reflection_of(scene, within, textures)[1],
+        albedo=reflection_of(scene, within, textures, colours)[1],
         bake=settings.bake,
         watertight=bool(report.get("watertight", False)),
         requested=requested,
@@ -154,7 +156,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
-    return PlannedScene(scene, factorisations, textures, header), plan
+    return PlannedScene(scene, factorisations, textures, colours, header), plan
 
 
 REPAIRS = {

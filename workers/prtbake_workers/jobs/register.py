@@ -85,7 +85,9 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         )
     report = found.to_dict()
     path = context.scratch / "mesh.h5"
-    write_mesh(path, MeshFile(mesh.positions, mesh.faces, mesh.normals, mesh.uv, report))
+    write_mesh(
+        path, MeshFile(mesh.positions, mesh.faces, mesh.normals, mesh.uv, report, mesh.colours)
+    )
     return {"understood": report, "canonical": context.store.put_file(path, move=True)}
 
 

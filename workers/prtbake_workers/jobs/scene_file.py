@@ -26,7 +26,7 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 
 @dataclass(frozen=True)
 class PlannedScene:
-    """Geometry, factorised materials, albedo textures part by part, and the plan's header.
+    """Geometry, and by part factorised materials, albedo textures and colours; the plan's header.
 
     ``header`` holds ``bake`` (settings), ``parts`` (name, material, medium, occluders), ``bounces``
     (their channels, the parts that scatter; None where neither is simulated), ``provenance``.
@@ -35,6 +35,7 @@ class PlannedScene:
     scene: Scene
     factorisations: tuple[Factorisation, ...]
     textures: tuple[F32 | None, ...]
+    colours: tuple[F32 | None, ...]
     header: Mapping[str, Any]
 
     def basis(self) -> SrbfBasis:
@@ -47,7 +48,9 @@ class PlannedScene:
         Factorisations, and the albedo beside them: see `BounceGather`.  Without channels of their
         own colours share their mean.
         """
-        factorisations, albedo = reflection_of(self.scene, self.factorisations, self.textures)
+        factorisations, albedo = reflection_of(
+            self.scene, self.factorisations, self.textures, self.colours
+        )
         if self.header["bounces"]["coloured"]:
             return factorisations, albedo
         return tuple(own.greyed() for own in factorisations), albedo.greyed()
@@ -67,10 +70,11 @@ def reflection_of(
     scene: Scene,
     factorisations: Sequence[Factorisation],
     textures: Sequence[Float32[F32, "_ _ 3"] | None],
+    colours: Sequence[Float32[F32, "_ 3"] | None],
 ) -> tuple[tuple[Factorisation, ...], Albedo]:
     """Pair factorisations with the albedo beside them."""
     albedo = Albedo.of_parts(
-        scene, [own.albedo.astype(np.float64) for own in factorisations], textures
+        scene, [own.albedo.astype(np.float64) for own in factorisations], textures, colours
     )
     return tuple(factorisations), albedo
 
@@ -121,9 +125,13 @@ def write_scene(path: Path, planned: PlannedScene) -> Path:
     arrays: dict[str, NDArray[Any]] = {name: getattr(scene, name) for name in _SCENE_ARRAYS}
     if scene.uv is not None:
         arrays["uv"] = scene.uv
-    for index, texture in enumerate(planned.textures):
-        if texture is not None:
-            arrays[f"albedo_texture{index}"] = texture
+    for name, of_parts in (
+        ("albedo_texture", planned.textures),
+        ("vertex_colours", planned.colours),
+    ):
+        for index, array in enumerate(of_parts):
+            if array is not None:
+                arrays[f"{name}{index}"] = array
     tables: list[dict[str, Any]] = []
     for index, factorisation in enumerate(planned.factorisations):
         plain = {}
@@ -153,5 +161,8 @@ def read_scene(path: Path) -> PlannedScene:
         prefix = f"factorisation{index}/"
         own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
         factorisations.append(Factorisation.from_tables(own | plain))
-    textures = tuple(arrays.get(f"albedo_texture{index}") for index in range(len(factorisations)))
-    return PlannedScene(scene, tuple(factorisations), textures, header)
+    textures, colours = (
+        tuple(arrays.get(f"{name}{index}") for index in range(len(factorisations)))
+        for name in ("albedo_texture", "vertex_colours")
+    )
+    return PlannedScene(scene, tuple(factorisations), textures, colours, header)

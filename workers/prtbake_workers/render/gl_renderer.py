@@ -27,7 +27,10 @@ from prtbake_workers.render.targets import Target
 MAX_TRIANGLES = (1 << 24) - 2
 """The visibility buffer counts triangles in float32."""
 
-BINDINGS = {"faces": 0, "positions": 1, "normals": 2, "frames": 3, "radiance": 4, "uv": 5}
+BINDINGS = {
+    "faces": 0, "positions": 1, "normals": 2, "frames": 3, "radiance": 4, "uv": 5,
+    "vertex_colours": 6,
+}  # fmt: skip
 VISIBILITY_UNIT, VIEW_UNIT, ALBEDO_UNIT = 0, 1, 2
 
 
@@ -37,6 +40,7 @@ class _PartObjects:
 
     frames: moderngl.Buffer
     radiance: moderngl.Buffer
+    vertex_colours: moderngl.Buffer
     view_texture: moderngl.TextureArray | None
     albedo_texture: moderngl.Texture | None
 
@@ -144,6 +148,7 @@ class GlRenderer(Renderer):
 
     def _upload_part(self, part: Part) -> _PartObjects:
         frames = np.zeros(9, np.float32) if part.frames is None else part.frames
+        colours = np.zeros(3, np.float32) if part.vertex_colours is None else part.vertex_colours
         view_texture = albedo_texture = None
         if part.view_texture is not None:
             resolution, _, n_view, _ = part.view_texture.shape
@@ -158,6 +163,7 @@ class GlRenderer(Renderer):
         return _PartObjects(
             self._buffer("frames", frames),
             self._buffer("radiance", np.zeros((part.n_vertices, part.n_view, 3), np.float32)),
+            self._buffer("vertex colours", colours),
             view_texture,
             albedo_texture,
         )
@@ -197,6 +203,7 @@ class GlRenderer(Renderer):
         for part, objects in zip(self._asset.parts, self._parts, strict=True):
             objects.frames.bind_to_storage_buffer(BINDINGS["frames"])
             objects.radiance.bind_to_storage_buffer(BINDINGS["radiance"])
+            objects.vertex_colours.bind_to_storage_buffer(BINDINGS["vertex_colours"])
             if objects.view_texture is not None:
                 objects.view_texture.use(VIEW_UNIT)
             if objects.albedo_texture is not None:
@@ -206,6 +213,7 @@ class GlRenderer(Renderer):
                 "n_view": part.n_view,
                 "has_view_texture": objects.view_texture is not None,
                 "has_albedo_texture": objects.albedo_texture is not None,
+                "has_vertex_colours": part.vertex_colours is not None,
                 "albedo": tuple(float(x) for x in np.broadcast_to(part.albedo, 3)),
             }
             for name, value in uniforms.items():

@@ -26,8 +26,8 @@ class Albedo:
     at
         Gives the albedo where rays hit.
     maximum
-        The largest that ``at`` gives, a channel each, in [0, 1]; its length, 1 or 3, is the number
-        of channels.
+        What ``at`` never exceeds, a channel each, in [0, 1]; its length, 1 or 3, is the number of
+        channels.
 
     Raises
     ------
@@ -74,33 +74,42 @@ class Albedo:
         scene: Scene,
         values: Sequence[Float64[F64, " _"]],
         textures: Sequence[Float32[F32, "_ _ 3"] | None],
+        colours: Sequence[Float32[F32, "_ 3"] | None] | None = None,
     ) -> "Albedo":
-        """Give every part an albedo and, where it has one, a texture that multiplies it.
+        """Give every part an albedo and what multiplies it: a texture, vertex colours, or both.
 
-        Textures are read at the scene's texture coordinates, as the decoder does.  Three channels
-        that are everywhere equal become one.
+        Textures are read at the scene's texture coordinates and ``colours`` (part_verts, 3) are
+        interpolated, as the decoder does; None stands for no part with any.  Three channels that
+        are everywhere equal become one.
         """
+        colours = [None] * len(values) if colours is None else colours
         rows = np.stack([np.broadcast_to(np.asarray(value, np.float64), 3) for value in values])
         maximum = np.stack(
             [
-                row if texture is None else row * texture.max(axis=(0, 1))
-                for row, texture in zip(rows, textures, strict=True)
+                row * _largest(texture) * _largest(tints)
+                for row, texture, tints in zip(rows, textures, colours, strict=True)
             ]
         ).max(axis=0, initial=0.0)
-        grey = bool((rows == rows[:, :1]).all()) and all(
-            texture is None or bool((texture == texture[..., :1]).all()) for texture in textures
+        grey = all(
+            array is None or bool((array == array[..., :1]).all())
+            for array in (rows, *textures, *colours)
         )
         n_channels = 1 if grey else 3
 
         def at(triangles: I64, barycentrics: F64) -> F64:
             parts = scene.part_of_face[triangles]
             albedo = rows[parts]
-            for part, texture in enumerate(textures):
+            for part, (texture, tints) in enumerate(zip(textures, colours, strict=True)):
                 own = np.flatnonzero(parts == part)
-                if texture is not None and scene.uv is not None and len(own):
-                    corners = scene.uv[scene.faces[triangles[own]]]
-                    uv = np.einsum("hc,hci->hi", barycentrics[own], corners)
+                if not len(own):
+                    continue
+                corners = scene.faces[triangles[own]]
+                if texture is not None and scene.uv is not None:
+                    uv = np.einsum("hc,hci->hi", barycentrics[own], scene.uv[corners])
                     albedo[own] *= lookup_repeating(texture, uv)
+                if tints is not None:
+                    local = corners - scene.part_ranges[part][0]
+                    albedo[own] *= np.einsum("hc,hck->hk", barycentrics[own], tints[local])
             return albedo[:, :n_channels]
 
         return cls(at, maximum[:n_channels])
@@ -137,3 +146,8 @@ class Albedo:
                 f"outside 0..{self.maximum.tolist()}"
             )
         return np.minimum(values, self.maximum)
+
+
+def _largest(array: Float32[F32, "*_ 3"] | None) -> Float64[F64, "3"]:
+    """Give the largest value of each channel; 1 of nothing."""
+    return np.ones(3) if array is None else array.reshape(-1, 3).max(axis=0).astype(np.float64)

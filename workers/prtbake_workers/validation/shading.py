@@ -23,7 +23,7 @@ def view_terms(part: ValidationPart, wo: Float64[F64, "n 3"]) -> Float64[F64, "n
 
 
 def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64, "hits 3"]:
-    """Return what the albedo textures multiply each pixel by; one where there is none."""
+    """Return what textures and vertex colours multiply each pixel by; one where there is none."""
     albedo = np.ones((len(hits.pixels), 3))
     for index in range(len(validation.parts)):
         texture = part_texture(validation, index)
@@ -34,15 +34,23 @@ def texture_albedo(validation: ValidationScene, hits: PixelHits) -> Float64[F64,
 
 
 def part_texture(validation: ValidationScene, index: int) -> AlbedoAt | None:
-    """Return the lookup of a part's albedo texture by triangle; None where it has none."""
-    uv, texture = validation.finest.uv, validation.finest.parts[index].albedo_texture
-    if texture is None or uv is None:
+    """Return what a part's texture and vertex colours multiply; None where it has neither."""
+    part, uv = validation.finest.parts[index], validation.finest.uv
+    texture = None if uv is None else part.albedo_texture
+    colours, start = part.vertex_colours, part.vertex_range[0]
+    if texture is None and colours is None:
         return None
     faces = validation.scene.faces
 
     def at(triangles: I64, barycentrics: F64) -> F64:
-        where = np.einsum("nc,nci->ni", barycentrics, uv[faces[triangles]])
-        return lookup_repeating(texture, where).astype(np.float64)
+        corners = faces[triangles]
+        tint = np.ones((len(triangles), 3))
+        if texture is not None and uv is not None:
+            where = np.einsum("nc,nci->ni", barycentrics, uv[corners])
+            tint *= lookup_repeating(texture, where)
+        if colours is not None:
+            tint *= np.einsum("nc,nci->ni", barycentrics, colours[corners - start])
+        return tint
 
     return at
 

@@ -103,6 +103,9 @@ Medium = Annotated[
     ),
 ]
 Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file, or sha256:...")]
+Colours = Annotated[
+    bool, typer.Option("--vertex-colours", help="Multiply the albedo by the colours of the mesh.")
+]
 Effect = Annotated[
     list[str] | None,
     typer.Option(
@@ -158,6 +161,7 @@ def asset(
     receiver: Receiver = None,
     albedo_texture: Texture = None,
     subsurface: Medium = None,
+    vertex_colours: Colours = False,
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
@@ -174,6 +178,8 @@ def asset(
     scene = _scene(
         client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
     )
+    if vertex_colours:
+        scene["vertex_colours"] = True
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "asset",
@@ -193,6 +199,7 @@ def bake(
     receiver: Receiver = None,
     albedo_texture: Texture = None,
     subsurface: Medium = None,
+    vertex_colours: Colours = False,
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
@@ -207,6 +214,8 @@ def bake(
     scene = _scene(
         client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
     )
+    if vertex_colours:
+        scene["vertex_colours"] = True
     return {
         "kind": "bake",
         **scene,

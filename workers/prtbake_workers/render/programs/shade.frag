@@ -8,6 +8,7 @@ layout(std430, binding = 2) readonly buffer Normals { float normals[]; };
 layout(std430, binding = 3) readonly buffer Frames { float frames[]; };
 layout(std430, binding = 4) readonly buffer Radiance { float radiance[]; };
 layout(std430, binding = 5) readonly buffer Uv { float uv[]; };
+layout(std430, binding = 6) readonly buffer Colours { float vertex_colours[]; };
 
 uniform sampler2D visibility;
 uniform sampler2DArray view_texture;
@@ -16,6 +17,7 @@ uniform ivec2 part_range;
 uniform int n_view;
 uniform bool has_view_texture;
 uniform bool has_albedo_texture;
+uniform bool has_vertex_colours;
 uniform vec3 albedo;
 uniform vec3 camera_right;
 uniform vec3 camera_up;
@@ -30,6 +32,11 @@ const float TINY = 1e-20;
 vec3 position_of(int v) { return vec3(positions[3 * v], positions[3 * v + 1], positions[3 * v + 2]); }
 vec3 normal_of(int v) { return vec3(normals[3 * v], normals[3 * v + 1], normals[3 * v + 2]); }
 vec2 uv_of(int v) { return vec2(uv[2 * v], uv[2 * v + 1]); }
+
+vec3 vertex_colour_of(int v) {
+    int at = 3 * (v - part_range.x);
+    return vec3(vertex_colours[at], vertex_colours[at + 1], vertex_colours[at + 2]);
+}
 
 vec3 row(int frame, int i) {
     int at = 9 * frame + 3 * i;
@@ -111,6 +118,10 @@ void main() {
     if (has_albedo_texture) {
         tint *= albedo_at(seen.y * uv_of(corners.x) + seen.z * uv_of(corners.y)
                           + seen.w * uv_of(corners.z));
+    }
+    if (has_vertex_colours) {
+        tint *= seen.y * vertex_colour_of(corners.x) + seen.z * vertex_colour_of(corners.y)
+              + seen.w * vertex_colour_of(corners.z);
     }
     colour = vec4(mixed * tint, 1.0);
 }
