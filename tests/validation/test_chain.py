@@ -15,9 +15,10 @@ from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.validation.chain import BOUNCED_LINE, LINES, fitted_light, validate_camera
+from prtbake_workers.validation.exact_terms import ExactTerms
 from prtbake_workers.validation.hits import trace_camera
 from prtbake_workers.validation.light import draw_pass
-from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
+from prtbake_workers.validation.monte_carlo import pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import asset_picture, sampled_terms
 from support.local_stages import run_stages
 from support.scenes import (

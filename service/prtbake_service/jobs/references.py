@@ -13,7 +13,7 @@ from prtbake_storage.contract.jobs import (
     ValidateRequest,
 )
 from prtbake_storage.contract.resources import Resource
-from prtbake_storage.errors import BrdfError, Conflict, InputError, NotFound, SettingsError
+from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
 AnyRequest = (
     BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
@@ -81,12 +81,6 @@ class Resolver:
         mesh = self._resource("mesh", request.mesh)
         if isinstance(request.brdf, str):
             found = self._resource("brdf", request.brdf)
-            if found["understood"].get("isotropic") is False:
-                raise BrdfError(
-                    f"{request.brdf} is anisotropic: transfer of anisotropic BRDFs is not in this "
-                    "version",
-                    pointer="/brdf",
-                )
             brdf = found | {"spec": found["understood"].get("spec", found["understood"])}
         else:
             spec = request.brdf.model_dump(mode="json")

@@ -108,7 +108,7 @@ class WardSpec(Wire):
     alpha_x: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
     """Slope along the tangent."""
     alpha_y: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
-    """Slope across it; jobs take it equal to `alpha_x` only."""
+    """Slope across it."""
 
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -174,24 +174,6 @@ BrdfSpec = Annotated[AnyBrdfSpec, Field(discriminator="model")]
 brdf_adapter: TypeAdapter[AnyBrdfSpec] = TypeAdapter(BrdfSpec)
 
 
-def check_isotropic(spec: AnyBrdfSpec) -> None:
-    """Refuse what no job of this version bakes, with a `ValueError` that names the fields."""
-    match spec:
-        case WardSpec() if spec.alpha_x != spec.alpha_y:
-            fields = f"alpha_x = {spec.alpha_x:g} and alpha_y = {spec.alpha_y:g}"
-        case LafortuneSpec():
-            found = (lobe for lobe in spec.lobes if lobe.cx != lobe.cy)
-            if (lobe := next(found, None)) is None:
-                return
-            fields = f"cx = {lobe.cx:g} and cy = {lobe.cy:g}"
-        case _:
-            return
-    raise ValueError(
-        f"{fields} make {spec.model} anisotropic: transfer of anisotropic BRDFs is not in this "
-        "version"
-    )
-
-
 MeasuredFormat = Literal["merl", "rgl", "scattered"]
 
 
@@ -213,5 +195,5 @@ __all__ = [
     "AbcSpec", "BlinnPhongSpec", "BrdfSpec", "CookTorranceSpec", "GgxSpec", "LafortuneLobe",
     "LafortuneSpec", "LambertSpec", "MeasuredFormat", "MeasuredSpec", "NbrdfSpec", "OrenNayarSpec",
     "PhongSpec", "Positive", "SgdSpec", "StoredBrdfSpec", "WardSpec", "brdf_adapter",
-    "check_isotropic", "stored_brdf_adapter",
+    "stored_brdf_adapter",
 ]  # fmt: skip

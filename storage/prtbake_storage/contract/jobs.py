@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, field_validator
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
-from prtbake_storage.contract.brdf import BrdfSpec, check_isotropic
-from prtbake_storage.contract.materials import Subsurface
+from prtbake_storage.contract.brdf import BrdfSpec
+from prtbake_storage.contract.materials import Subsurface, Tangents
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
@@ -61,15 +61,10 @@ class _SceneRequest(_Request):
     """Light that scatters inside the object, whose BRDF is then Lambert."""
     vertex_colours: bool = False
     """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
+    tangents: Tangents = "horizontal"
+    """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
     receiver: ReceiverPlane | None = None
     effects: Effects = Effects()
-
-    @field_validator("brdf")
-    @classmethod
-    def _isotropic(cls, brdf: str | BrdfSpec) -> str | BrdfSpec:
-        if not isinstance(brdf, str):
-            check_isotropic(brdf)
-        return brdf
 
 
 class BakeRequest(_SceneRequest):

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from prtbake_storage.contract.base import Digest, Positive, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
@@ -62,7 +62,13 @@ class Subsurface(Wire):
         return (spread[0], spread[1]) if len(spread) == 2 else ((), ())
 
 
-Tangents = Literal["horizontal", "uv"] | Vec3
+def _has_length(direction: Vec3) -> Vec3:
+    if not any(direction):
+        raise ValueError("a direction needs a length")
+    return direction
+
+
+Tangents = Literal["horizontal", "uv"] | Annotated[Vec3, AfterValidator(_has_length)]
 """Where tangents point: horizontally, along u of the texture coordinates, or along a direction."""
 
 

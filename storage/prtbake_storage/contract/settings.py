@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Positive, Vec3, Wire
-from prtbake_storage.contract.brdf import BrdfSpec, Reflectance, check_isotropic
+from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
@@ -51,14 +51,7 @@ class ReceiverPlane(Wire):
     albedo: Reflectance = 0.7
     """Diffuse reflectance."""
     brdf: BrdfSpec | None = None
-    """Takes the place of `albedo`."""
-
-    @field_validator("brdf")
-    @classmethod
-    def _isotropic(cls, brdf: BrdfSpec | None) -> BrdfSpec | None:
-        if brdf is not None:
-            check_isotropic(brdf)
-        return brdf
+    """Takes the place of `albedo`; x of its frames is that of the scene."""
 
 
 class BakeSettings(Wire):
@@ -91,7 +84,7 @@ class BakeSettings(Wire):
     subsurface_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
     """Scattering that moves less than this of a part's light is left out: squared, relative."""
     frame_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    """Turns the tangent frames at random, which should change nothing."""
+    """Turns the tangent frames of isotropic parts at random, which should change nothing."""
     tile_vertices: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     """Vertices a task; null leaves it to planning."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1

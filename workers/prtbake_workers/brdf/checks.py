@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf, is_isotropic
-from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.hemisphere_grid import azimuthal_blocks, norm_of_order
 
 RECIPROCITY_TOLERANCE = 1e-9
@@ -166,7 +166,7 @@ def check_reciprocity(brdf: Brdf, *, n_pairs: int = 4096, seed: int = 0) -> Reci
 
 
 def check_factorisation(
-    brdf: Brdf, factorisation: Factorisation, *, n_theta: int = 61, n_phi: int = 240
+    brdf: Brdf, factorisation: AzimuthalFactorisation, *, n_theta: int = 61, n_phi: int = 240
 ) -> SeparableReport:
     """Measure how far the sum of products is from the BRDF, on another, finer grid.
 

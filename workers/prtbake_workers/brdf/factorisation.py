@@ -1,48 +1,28 @@
 """A BRDF as a short sum of products, ``rho(wi, wo) ~ sum_k psi_k(wi) phi_k(wo)``."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from prtbake_storage.errors import CorruptArtefact
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
-from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf
-from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
-from prtbake_workers.brdf.radial_table import RadialTable
-
-TABLE_ARRAYS = (
-    "orders",
-    "parity",
-    "psi_radial",
-    "phi_radial",
-    "singular_values",
-    "psi_table",
-    "phi_table",
-)
-TABLE_NUMBERS = ("n_theta", "n_phi", "energy_lost", "requested_terms", "constant_phi", "note")
+from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid
 
 
-@dataclass(frozen=True, eq=False)
-class Factorisation:
-    """Separable approximation of an isotropic BRDF, [Tsai2006]_ eq. (9).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Factorisation(ABC):
+    """Separable approximation of a BRDF, [Tsai2006]_ eq. (9).
 
-    Every term is a radial function of theta times cos(m phi) or sin(m phi), the same factor on both
-    sides.  ``psi`` (light side) holds the singular values; ``phi`` (view side) is orthonormal under
-    the weight cos_o^2 d omega, summed over channels.  Neither holds a cosine.
+    ``psi`` (light side) holds the singular values; ``phi`` (view side) is orthonormal under the
+    weight cos_o^2 d omega, summed over channels.  Neither holds a cosine.
 
     Attributes
     ----------
     grid
         Grid on which the BRDF was sampled.
-    orders, parity
-        Azimuthal order m of each term, and 0 for cosine or 1 for sine.
-    psi_radial, phi_radial
-        The radial functions at the grid's rings.
     singular_values
-        All of the weighted matrix, falling, pairs twice; in units of the continuous norm.
+        All of the weighted matrix, falling, as often as they occur; in units of the continuous
+        norm.
     energy_lost
         Share of the squared norm (weight cos_i^2 cos_o^2) outside the terms kept: on the grid, or,
         where that does not resolve the lobe, measured on a finer one.
@@ -62,13 +42,7 @@ class Factorisation:
     """
 
     grid: HemisphereGrid
-    orders: Int32[I32, " terms"]
-    parity: Int32[I32, " terms"]
-    psi_radial: Float64[F64, "theta terms"]
-    phi_radial: Float64[F64, "theta terms channels"]
     singular_values: Float64[F64, " values"]
-    psi_table: Float32[F32, "nodes units"]
-    phi_table: Float32[F32, "nodes units channels"]
     energy_lost: float
     requested_terms: int | None
     note: str | None
@@ -76,39 +50,29 @@ class Factorisation:
     brdf: Brdf | None = None
 
     @property
+    @abstractmethod
     def n_terms(self) -> int:
         """Number of terms K."""
-        return len(self.orders)
 
     @property
+    @abstractmethod
     def n_channels(self) -> int:
         """Channels of phi: 1 or 3."""
-        return int(self.phi_radial.shape[2])
 
     @property
-    def cosines(self) -> Float64[F64, " theta"]:
-        """Cosines of the rings that the radial functions are given at."""
-        return self.grid.cosines
-
-    @property
+    @abstractmethod
     def albedo(self) -> Float32[F32, " channels"]:
         """What multiplies every colour of a part: phi where it is a constant, else one."""
-        constant = self.phi_radial[0, 0] if self.is_constant_phi else np.ones(1)
-        return constant.astype(np.float32)
 
-    @cached_property
-    def unit_of_term(self) -> Int32[I32, " terms"]:
-        """Which radial function each term uses; the two of a pair share one."""
-        return np.cumsum(self.parity == 0, dtype=np.int32) - np.int32(1)
-
+    @abstractmethod
     def eval_psi(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
         """Evaluate the light side, without cosine; 0 below the horizon."""
-        return self._psi.evaluate(wi)[..., 0]
 
+    @abstractmethod
     def eval_phi(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
         """Evaluate the view side, without cosine; 0 below the horizon."""
-        return self._phi.evaluate(wo)
 
+    @abstractmethod
     def psi_lookup(
         self,
         x: Float32[F32, " n"],
@@ -117,121 +81,15 @@ class Factorisation:
         out: Float32[F32, "terms n"] | None = None,
     ) -> Float32[F32, "terms n"]:
         """Evaluate the light side fast: float32, local components in, one contiguous row a term."""
-        return self._psi.look_up(x, y, z, out)
 
-    def eval_psi_exact(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
-        """Evaluate the light side by its defining sum over the view grid, without a table."""
-        return self._exact(wi, light_side=True)[..., 0]
-
-    def eval_phi_exact(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
-        """Evaluate the view side by its defining sum over the light grid, without a table."""
-        return self._exact(wo, light_side=False)
-
-    def radial_exact(
-        self, cosines: Float64[F64, " n"], *, light_side: bool
-    ) -> Float64[F64, "n units columns"]:
-        """Extend the radial functions off the grid (Nystroem).
-
-        Light side: ``psi_k(wi) = sum_o rho(wi, o) phi_k(o) cos_o^2 w``.  View side: the same sum
-        over the light grid with psi, divided by the square of the singular value.  The sum over
-        the azimuth is done in Fourier space, so that each term keeps its single order.
-
-        Parameters
-        ----------
-        cosines
-            Where; at most `base.COSINE_FLOOR` counts as the horizon's limit from above.
-        light_side
-            psi with one column, or phi with a column a channel.
-        """
-        first = self.parity == 0
-        if self.is_constant_phi:
-            radial = self.psi_radial[:1, first, None] if light_side else self.phi_radial[:1, first]
-            return np.repeat(radial, len(cosines), axis=0)
-        if self.brdf is None:
-            raise ValueError("the exact extension needs the BRDF, which this factorisation lacks")
-        rings, orders = self.grid.cosines, self.orders[first]
-        n_phi, n_orders = self.grid.n_phi, int(orders.max()) + 1
-        weight = rings * rings * self.grid.ring_weight
-        at = np.maximum(cosines, COSINE_FLOOR)
-        psi, phi = self.psi_radial[:, first], self.phi_radial[:, first]
-        if light_side:
-            blocks = azimuthal_blocks(self.brdf, at, rings, n_phi, n_orders=n_orders)[orders]
-            radial = np.einsum("kioc,o,okc->ik", blocks, weight, phi, optimize=True)
-            return np.asarray(radial[..., None])
-        blocks = azimuthal_blocks(self.brdf, rings, at, n_phi, n_orders=n_orders)[orders]
-        energy = np.einsum("i,ik->k", weight, psi * psi) * norm_of_order(orders)
-        summed = np.einsum("kioc,i,ik->okc", blocks, weight, psi, optimize=True)
-        return np.asarray(summed / energy[:, None])
-
+    @abstractmethod
     def greyed(self) -> "Factorisation":
         """Replace the channels of phi by their mean; the same where there is one."""
-        if self.n_channels == 1:
-            return self
-        return replace(
-            self,
-            phi_radial=self.phi_radial.mean(axis=2, keepdims=True),
-            phi_table=self.phi_table.mean(axis=2, keepdims=True),
-            brdf=None,
-        )
 
+    @abstractmethod
     def tinted(self, colour: Float64[F64, " _"]) -> "Factorisation":
         """Multiply phi by a colour of one channel or three; psi and the values stay."""
-        return replace(
-            self,
-            phi_radial=self.phi_radial * colour,
-            phi_table=self.phi_table * colour.astype(np.float32),
-            brdf=None,
-        )
 
+    @abstractmethod
     def tables(self) -> dict[str, Any]:
         """Give everything but the BRDF as small arrays and plain values, for storage."""
-        return {
-            **{name: getattr(self, name) for name in TABLE_ARRAYS},
-            "n_theta": self.grid.n_theta,
-            "n_phi": self.grid.n_phi,
-            "energy_lost": self.energy_lost,
-            "requested_terms": -1 if self.requested_terms is None else self.requested_terms,
-            "constant_phi": self.is_constant_phi,
-            "note": self.note or "",
-        }
-
-    @classmethod
-    def from_tables(cls, tables: Mapping[str, Any], *, brdf: Brdf | None = None) -> "Factorisation":
-        """Rebuild from `tables`; with the BRDF given the exact extension works again.
-
-        Raises
-        ------
-        CorruptArtefact
-            An entry is missing; the message names it.
-        """
-        missing = [name for name in TABLE_ARRAYS + TABLE_NUMBERS if name not in tables]
-        if missing:
-            raise CorruptArtefact(f"the factorisation's tables lack {', '.join(missing)}")
-        requested = int(tables["requested_terms"])
-        return cls(
-            grid=HemisphereGrid(int(tables["n_theta"]), int(tables["n_phi"])),
-            **{name: np.asarray(tables[name]) for name in TABLE_ARRAYS},
-            energy_lost=float(tables["energy_lost"]),
-            requested_terms=None if requested < 0 else requested,
-            note=str(tables["note"]) or None,
-            is_constant_phi=bool(tables["constant_phi"]),
-            brdf=brdf,
-        )
-
-    @cached_property
-    def _psi(self) -> RadialTable:
-        values = self.psi_table[..., None]
-        return RadialTable(values, self.unit_of_term, self.orders, self.parity)
-
-    @cached_property
-    def _phi(self) -> RadialTable:
-        return RadialTable(self.phi_table, self.unit_of_term, self.orders, self.parity)
-
-    def _exact(
-        self, directions: Float64[F64, "n 3"], *, light_side: bool
-    ) -> Float64[F64, "n terms columns"]:
-        radial = self.radial_exact(directions[:, 2], light_side=light_side)[:, self.unit_of_term]
-        azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-        angle = azimuth[:, None] * self.orders - self.parity * (0.5 * np.pi)
-        value: F64 = np.where(directions[:, 2] > 0.0, np.cos(angle).T, 0.0).T[..., None] * radial
-        return value

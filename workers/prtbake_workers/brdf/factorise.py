@@ -7,22 +7,17 @@ from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.arrays import F32, F64, Float64
+from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_factorisation
+from prtbake_workers.brdf.choose_terms import choose_units, signs
+from prtbake_workers.brdf.constant_factorisation import CONSTANT_TOLERANCE, constant_factorisation
 from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.factorise_oriented import factorise_oriented
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
+from prtbake_workers.brdf.measured_loss import GRID_TOLERANCE, with_measured_loss
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
-from prtbake_workers.brdf.spectrum import Spectrum
-
-DEFAULT_ENERGY_LOST = 0.01
-"""Share of the energy that may be lost where neither terms nor an error are asked for."""
-
-CONSTANT_TOLERANCE = 1e-12
-"""Relative spread below which a BRDF counts as constant: rounding of the diffuse models."""
-
-GRID_TOLERANCE = 0.1
-"""Relative change of the squared norm on a finer grid above which the note warns; on 28 x 112 it is
-0.02 for Cook-Torrance m 0.2, 0.08 for Phong 200, 0.26 for m 0.1."""
+from prtbake_workers.brdf.spectrum import AzimuthalSpectrum
 
 CHECK_GRID = (122, 480)
 """Rings and azimuths on which such a lobe is measured: four digits at Cook-Torrance m 0.05."""
@@ -41,15 +36,16 @@ def factorise(
     """Approximate ``rho(wi, wo)`` by the best sum of K products, [Tsai2006]_ eq. (9).
 
     The matrix ``cos_i cos_o rho`` on a hemisphere grid uniform in cos theta and phi is
-    block-circulant, since the BRDF is isotropic: a Fourier transform over the difference of
+    block-circulant where the BRDF is isotropic: a Fourier transform over the difference of
     azimuths and one small singular value decomposition an order give its full decomposition
-    exactly.  The weight makes the error that of outgoing radiance with the view's cosine.  Colours
-    share psi; their channels are stacked on the view side.
+    exactly.  For one that is not, see `factorise_oriented`.  The weight makes the error that of
+    outgoing radiance with the view's cosine.  Colours share psi; their channels are stacked on the
+    view side.
 
     Parameters
     ----------
     brdf
-        Reciprocal, isotropic, mirror-symmetric.
+        Reciprocal; isotropic and mirror-symmetric, or an `OrientedBrdf`.
     n_terms
         K at most.  The two members of a pair (order m > 0) are kept or dropped together, since a
         split pair would let the picture depend on the tangent frame: K is rounded down, and the
@@ -62,21 +58,26 @@ def factorise(
     max_terms
         Largest K that ``energy_lost`` may choose.
     n_nodes
-        Nodes of the tables that `Factorisation.eval_psi` and `eval_phi` interpolate in.
+        Nodes of the tables that `Factorisation.eval_psi` and `eval_phi` of an isotropic BRDF
+        interpolate in.
 
     Raises
     ------
     SettingsError
         No affordable K loses as little energy as asked; the message says what K leaves behind.
     BrdfError
-        The BRDF gives a negative or non-finite value, or depends on more than the azimuths'
-        difference, or its lobe is so narrow that the sum misses more than the whole energy.
+        The BRDF gives a negative or non-finite value, or lacks the symmetry that it claims, or its
+        lobe is so narrow that the sum misses more than the whole energy.
     """
     if n_terms is not None and n_terms < 1:
         raise SettingsError(f"n_terms must be at least 1, got {n_terms}")
     if energy_lost is not None and not 0.0 < energy_lost < 1.0:
         raise SettingsError(f"energy_lost must lie between 0 and 1, got {energy_lost}")
     grid = HemisphereGrid(n_theta, n_phi)
+    if not is_isotropic(brdf):
+        return factorise_oriented(
+            brdf, n_terms=n_terms, energy_lost=energy_lost, grid=grid, max_terms=max_terms
+        )
     _check_isotropy(brdf)
     # the blocks are small, and the number of threads would change the last bits
     with threadpool_limits(limits=1, user_api="blas"):
@@ -93,23 +94,23 @@ def _factorise(
 ) -> Factorisation:
     blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
     if _is_constant(blocks):
-        return _constant(blocks[0][0, 0] / (2.0 * np.pi), grid, brdf, n_terms, n_nodes)
+        return constant_factorisation(blocks[0][0, 0] / (2.0 * np.pi), grid, brdf, n_terms, n_nodes)
 
     left, values, right = _decompose(blocks, grid)
-    spectrum = Spectrum.from_blocks(values)
-    n_units, note = _choose_units(spectrum, n_terms, energy_lost, max_terms)
+    spectrum = AzimuthalSpectrum.from_blocks(values)
+    n_units, note = choose_units(spectrum, n_terms, energy_lost, max_terms)
     orders, index = spectrum.orders[:n_units], spectrum.index[:n_units]
     weight = grid.cosines * np.sqrt(grid.ring_weight)
     norm = np.sqrt(norm_of_order(orders))
     phi = right[orders, index].transpose(1, 0, 2) / weight[:, None, None] / norm[:, None]
     psi = (left[orders, :, index] * spectrum.values[:n_units, None]).T / weight[:, None] / norm
     # the sign of a singular vector is arbitrary; fix it, so that equal inputs give equal bytes
-    flip = _signs(phi)
+    flip = signs(phi)
     phi, psi = phi * flip[:, None], psi * flip
 
     terms = np.repeat(np.arange(n_units), spectrum.multiplicity[:n_units])
     parity = np.append(0, np.diff(terms) == 0).astype(np.int32)
-    draft = Factorisation(
+    draft = AzimuthalFactorisation(
         grid=grid,
         orders=orders[terms],
         parity=parity,
@@ -126,17 +127,15 @@ def _factorise(
     )
     found = _with_tables(draft, n_nodes)
     ratio = _norm_ratio(brdf, grid)
-    return found if abs(ratio - 1.0) <= GRID_TOLERANCE else _measured(found, brdf, ratio)
+    if abs(ratio - 1.0) <= GRID_TOLERANCE:
+        return found
+    n_theta, n_phi = CHECK_GRID
+    report = check_factorisation(brdf, found, n_theta=n_theta, n_phi=n_phi)
+    return with_measured_loss(found, report.relative_error, ratio)
 
 
 def _check_isotropy(brdf: Brdf) -> None:
     """Refuse a BRDF that a common turn or a mirror changes: half circles would misread it."""
-    # a sharp lobe would hide its anisotropy from the few directions below
-    if not is_isotropic(brdf):
-        raise BrdfError(
-            "the BRDF is anisotropic: separable transfer factorises it by azimuth, which needs "
-            "isotropy; jobs have no other transfer in this version"
-        )
     theta = np.array([0.2, 0.7, 1.2])
     turn = np.array([0.0, 1.0, 2.5])
     delta = 0.8
@@ -161,34 +160,6 @@ def _is_constant(blocks: Float64[F64, "orders theta theta channels"]) -> bool:
     return bool(level and (np.abs(blocks[1:]).max(axis=(0, 1, 2)) <= scale).all())
 
 
-def _constant(
-    value: Float64[F64, " channels"],
-    grid: HemisphereGrid,
-    brdf: Brdf,
-    n_terms: int | None,
-    n_nodes: int,
-) -> Factorisation:
-    """Make the one term of a diffuse BRDF: psi = 1 / pi, phi = albedo."""
-    albedo = np.pi * value
-    projected = 2.0 * np.pi * float(np.sum(grid.cosines**2)) * grid.ring_weight
-    needless = n_terms is not None and n_terms > 1
-    return Factorisation(
-        grid=grid,
-        orders=np.zeros(1, np.int32),
-        parity=np.zeros(1, np.int32),
-        psi_radial=np.full((grid.n_theta, 1), 1.0 / np.pi),
-        phi_radial=np.tile(albedo, (grid.n_theta, 1, 1)),
-        singular_values=np.array([float(np.linalg.norm(value)) * projected]),
-        psi_table=np.full((n_nodes, 1), 1.0 / np.pi, np.float32),
-        phi_table=np.tile(albedo.astype(np.float32), (n_nodes, 1, 1)),
-        energy_lost=0.0,
-        requested_terms=n_terms,
-        note=f"a constant BRDF needs 1 term, not {n_terms}" if needless else None,
-        is_constant_phi=True,
-        brdf=brdf,
-    )
-
-
 def _squared_norm(brdf: Brdf, grid: HemisphereGrid) -> float:
     """Squared norm of the BRDF with the weight cos_i^2 cos_o^2, by the grid's quadrature."""
     blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
@@ -202,25 +173,6 @@ def _norm_ratio(brdf: Brdf, grid: HemisphereGrid) -> float:
     """Squared norm over that on a grid twice as fine: far from 1 the lobe slips between nodes."""
     fine = HemisphereGrid(2 * grid.n_theta, 2 * grid.n_phi)
     return _squared_norm(brdf, grid) / _squared_norm(brdf, fine)
-
-
-def _measured(found: Factorisation, brdf: Brdf, ratio: float) -> Factorisation:
-    """State the energy lost off the grid, where the grid's own figure means little."""
-    n_theta, n_phi = CHECK_GRID
-    lost = check_factorisation(brdf, found, n_theta=n_theta, n_phi=n_phi).relative_error
-    grid = f"the grid of {found.grid.n_theta} x {found.grid.n_phi}"
-    if lost > 1.0:
-        raise BrdfError(
-            f"{found.n_terms} terms on {grid} miss {lost:.0%} of the BRDF's energy, more than none "
-            "at all would: its lobe is too narrow, widen it or ask for fewer terms",
-            pointer="/brdf",
-        )
-    note = (
-        f"{grid} does not resolve the lobe (squared norm {ratio:.2f} of that on a grid twice as "
-        f"fine): the terms lose {found.energy_lost:.1%} of the energy there, {lost:.1%} in truth"
-    )
-    note = f"{found.note}; {note}" if found.note else note
-    return replace(found, energy_lost=lost, note=note)
 
 
 def _decompose(
@@ -238,45 +190,7 @@ def _decompose(
     return left, values, right.reshape(weighted.shape)
 
 
-def _choose_units(
-    spectrum: Spectrum, n_terms: int | None, energy_lost: float | None, max_terms: int
-) -> tuple[int, str | None]:
-    """Choose how many units to keep, with a note where that is not simply what was asked."""
-    if energy_lost is None and n_terms is not None:
-        units = spectrum.units_for_terms(n_terms)
-        kept = int(spectrum.whole_counts[units - 1])
-        if kept == n_terms:
-            return units, None
-        if units == spectrum.usable:
-            return units, f"the BRDF has {kept} terms on this grid, {n_terms} were asked for"
-        return units, f"{n_terms} terms would split a pair: {kept} are kept"
-
-    asked = DEFAULT_ENERGY_LOST if energy_lost is None else energy_lost
-    limit = max_terms if n_terms is None else n_terms
-    affordable = spectrum.units_for_terms(limit)
-    serving = spectrum.units_for_energy(asked)
-    if serving is not None and serving <= affordable:
-        return serving, None
-    kept = int(spectrum.whole_counts[affordable - 1])
-    left = float(spectrum.energies_left[affordable - 1])
-    needed = "no number of terms" if serving is None else f"{spectrum.whole_counts[serving - 1]}"
-    message = (
-        f"{kept} terms (of at most {limit}) leave {left:.2%} of the BRDF's energy, "
-        f"more than {asked:.2%}, which takes {needed}"
-    )
-    if energy_lost is not None:
-        raise SettingsError(message)
-    return affordable, message
-
-
-def _signs(phi: Float64[F64, "theta units channels"]) -> Float64[F64, " units"]:
-    """Sign that makes the largest value of each unit positive."""
-    flat = phi.transpose(1, 0, 2).reshape(phi.shape[1], -1)
-    peak = np.abs(flat).argmax(axis=1)
-    return np.where(flat[np.arange(len(flat)), peak] < 0.0, -1.0, 1.0)
-
-
-def _with_tables(draft: Factorisation, n_nodes: int) -> Factorisation:
+def _with_tables(draft: AzimuthalFactorisation, n_nodes: int) -> AzimuthalFactorisation:
     """Tabulate the exact radial functions."""
     at = cosines_of_nodes(n_nodes)
     psi: F32 = draft.radial_exact(at, light_side=True)[..., 0].astype(np.float32)

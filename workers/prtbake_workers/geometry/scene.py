@@ -42,8 +42,22 @@ class Scene:
     part_of_face: Int32[I32, " tris"]
 
     @classmethod
-    def from_parts(cls, parts: Sequence[Mesh], frame_seed: int | None = None) -> "Scene":
-        """Join meshes; ``frame_seed`` turns the tangent frames at random (see `tangent_frames`)."""
+    def from_parts(
+        cls,
+        parts: Sequence[Mesh],
+        frame_seed: int | None = None,
+        frames: Sequence[Float64[F64, "_ 3 3"] | None] | None = None,
+    ) -> "Scene":
+        """Join meshes.
+
+        Parameters
+        ----------
+        frame_seed
+            Turns the tangent frames at random, see `tangent_frames`.
+        frames
+            For each part the frames that its BRDF is read in, which nothing turns; None where any
+            will do.
+        """
         if not parts:
             raise ValueError("a scene needs at least one part")
         stops = np.cumsum([part.n_vertices for part in parts])
@@ -52,6 +66,10 @@ class Scene:
             for part, stop in zip(parts, stops, strict=True)
         )
         normals = np.concatenate([part.normals for part in parts])
+        joined = tangent_frames(normals, seed=frame_seed)
+        for (start, stop), own in zip(ranges, frames or (), strict=frames is not None):
+            if own is not None:
+                joined[start:stop] = own
         uv = None
         if any(part.uv is not None for part in parts):
             uv = np.concatenate(
@@ -63,7 +81,7 @@ class Scene:
                 [part.faces + start for part, (start, _) in zip(parts, ranges, strict=True)]
             ).astype(np.int32),
             normals=normals,
-            frames=tangent_frames(normals, seed=frame_seed),
+            frames=joined,
             areas=np.concatenate([part.vertex_areas for part in parts]),
             uv=uv,
             part_ranges=ranges,

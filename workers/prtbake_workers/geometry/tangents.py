@@ -69,19 +69,13 @@ def oriented_frames(mesh: Mesh, tangents: Tangents) -> OrientedFrames:
         return OrientedFrames(frames, np.flatnonzero(level))
     if tangents == "uv":
         if mesh.uv is None:
-            raise SettingsError(
-                "tangents along u need texture coordinates, which the mesh lacks",
-                pointer="/tangents",
-            )
+            raise SettingsError("tangents along u need texture coordinates, which the mesh lacks")
         cosine, sine, usable = texture_lines(mesh.positions, mesh.faces, mesh.uv, frames)
     else:
         direction = np.asarray(tangents, np.float64)
         length = float(np.linalg.norm(direction))
         if not (np.isfinite(length) and length > 0.0):
-            raise SettingsError(
-                f"tangents along {list(tangents)}: a direction needs a length",
-                pointer="/tangents",
-            )
+            raise SettingsError(f"tangents along {list(tangents)}: a direction needs a length")
         x, y = np.moveaxis(frames[:, :2] @ (direction / length), 1, 0)
         size = np.hypot(x, y)
         usable = size > DIRECTION_SINE
@@ -130,7 +124,7 @@ def texture_lines(
 def _texture_directions(
     positions: Float64[F64, "verts 3"], faces: Int32[I32, "tris 3"], uv: Float64[F64, "verts 2"]
 ) -> tuple[Float64[F64, "tris 3"], Float64[F64, " tris"]]:
-    """Unit dP/du of each triangle and its area; both 0 where the texture triangle is degenerate."""
+    """Give each triangle's unit dP/du and area; both 0 where its texture triangle is degenerate."""
     corner, texel = positions[faces], uv[faces]
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     (du_1, dv_1), (du_2, dv_2) = (texel[:, k].T - texel[:, 0].T for k in (1, 2))

@@ -17,7 +17,7 @@ from prtbake_storage.hdf5.writer import write_asset
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32, F64
-from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
@@ -245,7 +245,7 @@ def make_part(
 ) -> tuple[Part, float]:
     """Join a part's surface with its factors; also the view texture's error, 0 without one."""
     texture, error = None, 0.0
-    factorisation = Factorisation.from_tables(part.factorisation or {})
+    factorisation = factorisation_from_tables(part.factorisation or {})
     if not factorisation.is_constant_phi:
         phi, error = fit_view_texture(factorisation)
         texture = np.einsum("abkc,kr->abrc", phi, arrays["view_basis"]).astype(np.float32)

@@ -3,8 +3,11 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from pydantic import TypeAdapter
+
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.brdf import LambertSpec
+from prtbake_storage.contract.materials import Tangents
 from prtbake_storage.contract.settings import ReceiverPlane
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32
@@ -29,6 +32,8 @@ class PartInput:
         What scatters inside, a `Subsurface` as JSON; None for nothing.
     vertex_colours
         Linear, (verts, 3), where they are asked for; None for none.
+    tangents
+        Where those of an anisotropic BRDF point.
     """
 
     name: str
@@ -38,6 +43,7 @@ class PartInput:
     albedo_texture: F32 | None = None
     subsurface: dict[str, Any] | None = None
     vertex_colours: F32 | None = None
+    tangents: Tangents = "horizontal"
 
 
 def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
@@ -46,7 +52,8 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
     Raises
     ------
     SettingsError
-        An albedo texture, vertex colours or a medium that nothing can be done with.
+        An albedo texture, vertex colours or a medium that nothing can be done with, or tangents
+        along texture coordinates that are not there.
     """
     texture = None
     if args["albedo_texture"] is not None:
@@ -61,8 +68,18 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
             "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the medium",
             pointer="/subsurface",
         )
+    tangents = tangents_of(args["tangents"], has_uv=mesh.uv is not None, pointer="/tangents")
     parts = [
-        PartInput("object", "object", mesh, args["brdf"], texture, args["subsurface"], colours)
+        PartInput(
+            "object",
+            "object",
+            mesh,
+            args["brdf"],
+            albedo_texture=texture,
+            subsurface=args["subsurface"],
+            vertex_colours=colours,
+            tangents=tangents,
+        )
     ]
     if args["receiver"] is not None:
         receiver = ReceiverPlane.model_validate(args["receiver"])
@@ -73,8 +90,20 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
             gap=receiver.gap,
         )
         material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
-        parts.append(PartInput("receiver", "receiver", plane, material.model_dump(mode="json")))
+        spec = material.model_dump(mode="json")
+        # horizontal everywhere: the plane is all pole
+        parts.append(PartInput("receiver", "receiver", plane, spec, tangents=(1.0, 0.0, 0.0)))
     return parts
+
+
+def tangents_of(given: str | list[float], *, has_uv: bool, pointer: str) -> Tangents:
+    """Read tangents as a plan's arguments hold them, and refuse what a mesh cannot have."""
+    tangents: Tangents = TypeAdapter(Tangents).validate_python(given)
+    if tangents == "uv" and not has_uv:
+        raise SettingsError(
+            "tangents along u need texture coordinates, which the mesh lacks", pointer=pointer
+        )
+    return tangents
 
 
 def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:

@@ -8,6 +8,7 @@ from prtbake_storage.contract.settings import Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
+from prtbake_workers.brdf.base import is_isotropic
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene
@@ -21,6 +22,7 @@ from prtbake_workers.jobs.scene_file import (
     write_scene,
 )
 from prtbake_workers.planning.effects import decide_effects
+from prtbake_workers.planning.grain import Grain, grain_notes
 from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.subsurface import decide_subsurface
@@ -30,7 +32,15 @@ from prtbake_workers.transport.surface import OpaqueSurface
 _MODULE = "prtbake_workers.jobs.plan"
 MEMORY_BYTES = 12 << 30
 CPU_SECONDS = 900
-INPUTS = ("mesh", "brdf", "albedo_texture", "subsurface", "vertex_colours", "receiver")
+INPUTS = (
+    "mesh",
+    "brdf",
+    "albedo_texture",
+    "subsurface",
+    "vertex_colours",
+    "tangents",
+    "receiver",
+)
 """Arguments that say what a scene is made of."""
 
 
@@ -44,6 +54,7 @@ def arguments(
         "albedo_texture": context.get("albedo_texture"),
         "subsurface": request.get("subsurface"),
         "vertex_colours": request.get("vertex_colours", False),
+        "tangents": request.get("tangents", "horizontal"),
         "receiver": request.get("receiver"),
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
@@ -72,16 +83,25 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     meshes, names = [part.mesh for part in parts], [part.name for part in parts]
     textures = tuple(part.albedo_texture for part in parts)
     colours = tuple(part.vertex_colours for part in parts)
-    scene = Scene.from_parts(meshes, frame_seed=settings.bake.frame_seed)
+    brdfs = [load_brdf(store, part.brdf) for part in parts]
+    grain = [
+        None if is_isotropic(brdf) else Grain.of(part.name, part.mesh, part.tangents)
+        for part, brdf in zip(parts, brdfs, strict=True)
+    ]
+    scene = Scene.from_parts(
+        meshes,
+        frame_seed=settings.bake.frame_seed,
+        frames=[None if own is None else own.frames for own in grain],
+    )
     requested = Effects.model_validate(args["effects"])
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
     factorisations = tuple(
         factorise(
-            load_brdf(store, part.brdf),
+            brdf,
             n_terms=n_terms,
             energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
         )
-        for part in parts
+        for brdf in brdfs
     )
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     accelerator = Accelerator(scene.positions, scene.faces)
@@ -109,6 +129,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         requested=requested,
         seed=args["seed"],
         subsurface=scattering.decision,
+        grain=grain,
     )
     factorisations = tuple(
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
@@ -123,7 +144,12 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         args["quality"],
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
-        notes=[*notes, *repairs(report), *report.get("warnings", [])],
+        notes=[
+            *notes,
+            *grain_notes(grain, args["tangents"]),
+            *repairs(report),
+            *report.get("warnings", []),
+        ],
         media={part: own for part, own in enumerate(media) if own is not None},
         scattering=scattering.parts,
     )

@@ -13,6 +13,7 @@ from prtbake_workers.arrays import F32, F64, Float32
 from prtbake_workers.basis.projection import SrbfProjection
 from prtbake_workers.basis.srbf import SrbfBasis, WhitenedBasis, default_bandwidth
 from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
@@ -160,7 +161,7 @@ def read_scene(path: Path) -> PlannedScene:
     for index, plain in enumerate(header["tables"]):
         prefix = f"factorisation{index}/"
         own = {n.removeprefix(prefix): v for n, v in arrays.items() if n.startswith(prefix)}
-        factorisations.append(Factorisation.from_tables(own | plain))
+        factorisations.append(factorisation_from_tables(own | plain))
     textures, colours = (
         tuple(arrays.get(f"{name}{index}") for index in range(len(factorisations)))
         for name in ("albedo_texture", "vertex_colours")

@@ -18,7 +18,7 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32, F64, I64
 from prtbake_workers.basis.srbf import SrbfBasis
-from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import view_texture
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
@@ -251,7 +251,7 @@ def _validation_part(
 ) -> ValidationPart:
     """Rebuild a part; its view texture of all terms gets the resolution that was delivered."""
     brdf = load_brdf(store, dict(part.material))
-    factorisation = Factorisation.from_tables(part.factorisation or {}, brdf=brdf)
+    factorisation = factorisation_from_tables(part.factorisation or {}, brdf=brdf)
     texture = None if delivered is None else view_texture(factorisation, len(delivered))
     return ValidationPart(
         brdf=brdf,

@@ -20,6 +20,7 @@ from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.topology import count_components, find_edges
 from prtbake_workers.planning.decision import Decision, settle
+from prtbake_workers.planning.grain import Grain, decide_frames
 from prtbake_workers.planning.interreflection import decide_bounces
 from prtbake_workers.planning.probe import draw_by_area
 from prtbake_workers.planning.subsurface import NOTHING_SCATTERS
@@ -80,7 +81,8 @@ def probe_occlusion(
     epsilon = ray_epsilon(scene.bounds)
     origins = offset_origins(scene.ray_points[chosen], scene.ray_sides[chosen], epsilon)
     blocked = accelerator.occluded(np.repeat(origins, PROBE_RAYS, axis=0), world)
-    psi = factorisation.eval_psi(local.reshape(-1, 3))
+    own = np.einsum("vij,vrj->vri", scene.frames[chosen], local @ frames)
+    psi = factorisation.eval_psi(own.reshape(-1, 3))
     weight = (psi**2).sum(axis=1) * cosine.reshape(-1)
     lost = float((weight * blocked).sum())
     kept = float((weight * ~blocked).sum())
@@ -109,11 +111,13 @@ def decide_effects(
     requested: Effects,
     seed: int,
     subsurface: Decision = NOTHING_SCATTERS,
+    grain: Sequence[Grain | None] = (),
 ) -> list[Decision]:
     """Decide effect by effect for an object (part 0) and, where there is one, its receiver.
 
     ``albedo`` is what multiplies the light that each point sends, see `BounceGather`; of parts with
-    a medium it holds the medium's, whatever ``subsurface`` decided before.
+    a medium it holds the medium's, whatever ``subsurface`` decided before.  ``grain`` holds the
+    frames of anisotropic parts.
     """
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
@@ -122,15 +126,7 @@ def decide_effects(
         ),
         _receiver_shadows(scene, accelerator, factorisations, requested.receiver_shadows, seed),
         _view_dependence(factorisations, requested.view_dependence),
-        Decision(
-            effect="tangent_frames",
-            taken=max(part_terms) > 1,
-            forced=False,
-            reason="parts with more than one term turn with their frame"
-            if max(part_terms) > 1
-            else "one term has no azimuth",
-            evidence={"terms": part_terms},
-        ),
+        decide_frames(part_terms, grain),
     ]
     decisions += decide_bounces(
         scene,
@@ -217,7 +213,7 @@ def _view_dependence(factorisations: Sequence[Factorisation], switch: Switch) ->
     terms = [factorisation.n_terms for factorisation in factorisations]
     glossy = [found for found in factorisations if not found.is_constant_phi]
     forced = switch != "auto"
-    # orders above 0 come in pairs below the first value: what is left is all that one term lacks
+    # the first value stands alone, as a positive matrix has it: the rest is what one term lacks
     lost = [energy_lost_by_terms(found.singular_values, 1) for found in glossy]
     if not glossy:
         reason = "a Lambertian surface looks the same from everywhere"

@@ -12,8 +12,8 @@ from prtbake_workers.transport.reference import SurfacePoints
 from prtbake_workers.transport.surface import above_horizon, interpolate_surface
 
 SHORTEST_TANGENT = 1e-3
-"""Length of a mixed tangent below which the corners' frames do not agree on one, as at the poles of
-the default frames; any will do there, since only isotropic BRDFs have such frames."""
+"""Length of a mixed tangent below which the corners' frames do not agree on one, as at their poles:
+that of the corner that weighs most serves there."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class PathPoints:
         """
         surface = interpolate_surface(scene, triangles, barycentrics)
         front = (wo * surface.side).sum(axis=1) > 0.0
-        frames = _frames(scene, triangles, barycentrics, surface.normals)
+        frames = interpolated_frames(scene, triangles, barycentrics, surface.normals)
         sign = np.where(front | ~two_sided, 1.0, -1.0)[:, None]
         normals, side = sign * surface.normals, sign * surface.side
         frames[:, 1:] *= sign[:, :, None]
@@ -120,20 +120,34 @@ class PathPoints:
         )
 
 
-def _frames(
+def interpolated_frames(
     scene: Scene,
     triangles: Int64[I64, " points"],
     barycentrics: Float64[F64, "points 3"],
     normals: Float64[F64, "points 3"],
 ) -> Float64[F64, "points 3 3"]:
-    """Mix the corners' tangents and complete them to frames about the normals."""
-    tangents = np.einsum(
-        "pc,pci->pi", barycentrics, scene.frames[scene.faces[triangles], 0], optimize=True
-    )
-    tangents -= (tangents * normals).sum(axis=1, keepdims=True) * normals
-    length = np.linalg.norm(tangents, axis=1, keepdims=True)
-    tangents /= np.maximum(length, SHORTEST_TANGENT)
+    """Mix the corners' tangents and complete them to frames about the normals.
+
+    A tangent and its opposite are one to every BRDF, so corners are mixed in the sense of the one
+    that weighs most.
+    """
+    corners = scene.frames[scene.faces[triangles], 0]
+    first = np.take_along_axis(corners, barycentrics.argmax(axis=1)[:, None, None], axis=1)
+    sense = np.where((corners * first).sum(axis=2) < 0.0, -1.0, 1.0)
+    mixed = np.einsum("pc,pci->pi", barycentrics * sense, corners, optimize=True)
+    tangents, length = _perpendicular(mixed, normals)
+    lost = length < SHORTEST_TANGENT
+    tangents[lost], length[lost] = _perpendicular(first[lost, 0], normals[lost])
     frames = np.stack([tangents, np.cross(normals, tangents), normals], axis=1)
-    lost = length[:, 0] < SHORTEST_TANGENT
-    frames[lost] = tangent_frames(normals[lost])
+    nowhere = length < SHORTEST_TANGENT
+    frames[nowhere] = tangent_frames(normals[nowhere])
     return frames
+
+
+def _perpendicular(
+    tangents: Float64[F64, "points 3"], normals: Float64[F64, "points 3"]
+) -> tuple[Float64[F64, "points 3"], Float64[F64, " points"]]:
+    """Project into the tangent planes; also the lengths, before they are brought to one."""
+    across = tangents - (tangents * normals).sum(axis=1, keepdims=True) * normals
+    length = np.linalg.norm(across, axis=1)
+    return across / np.maximum(length, SHORTEST_TANGENT)[:, None], length

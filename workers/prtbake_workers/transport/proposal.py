@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice
 
 ROUGHNESSES = (0.02, 0.05, 0.1, 0.2, 0.35, 0.6)
@@ -20,6 +20,9 @@ LOBE_SHARES = (0.4, 0.8, 0.95)
 """Never 1: what lies outside the lobe is drawn by the cosine."""
 
 VIEW_COSINES = (0.95, 0.7, 0.4, 0.15)
+VIEW_AZIMUTHS = (0.0, 0.25 * np.pi, 0.5 * np.pi)
+"""Of an anisotropic BRDF's views; the lobe of the mixture is isotropic, a compromise."""
+
 FIT_SAMPLES = 256
 """Directions of each component that the variances are estimated from."""
 
@@ -95,8 +98,10 @@ def fit_proposal(brdf: Brdf) -> Proposal:
     square = lattice(FIT_SAMPLES)
     choice = (np.arange(FIT_SAMPLES) * np.sqrt(2.0)) % 1.0
     moments = np.zeros(len(candidates))
-    for cosine in VIEW_COSINES:
-        view = np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])
+    azimuths = VIEW_AZIMUTHS[:1] if is_isotropic(brdf) else VIEW_AZIMUTHS
+    for cosine, azimuth in product(VIEW_COSINES, azimuths):
+        sine = np.sqrt(1.0 - cosine**2)
+        view = np.array([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine])
         wo = np.tile(view, (FIT_SAMPLES, 1))
         wi = np.concatenate([component.sample(wo, choice, square) for component in components])
         wi = wi[wi[:, 2] > 0.0]

@@ -20,10 +20,11 @@ from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.validation.budget import Budget, ChainPicture, make_budget
+from prtbake_workers.validation.exact_terms import ExactTerms
 from prtbake_workers.validation.hits import PixelHits, trace_camera
 from prtbake_workers.validation.indirect import PathLight
 from prtbake_workers.validation.light import cell_flux, draw_pass, subdivided_texels
-from prtbake_workers.validation.monte_carlo import ExactTerms, pixel_pictures, vertex_terms
+from prtbake_workers.validation.monte_carlo import pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import (
     asset_picture,
     sampled_terms,

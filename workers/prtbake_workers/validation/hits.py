@@ -6,8 +6,10 @@ import numpy as np
 
 from prtbake_storage.contract.settings import Camera
 from prtbake_workers.arrays import B8, F32, F64, I64, Bool, Float32, Float64, Int64
+from prtbake_workers.brdf.base import is_isotropic
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.render.camera import camera_rays, framing_bounds
+from prtbake_workers.transport.path_points import interpolated_frames
 from prtbake_workers.transport.reference import SurfacePoints
 from prtbake_workers.transport.surface import above_horizon, interpolate_surface
 from prtbake_workers.validation.scene import ValidationScene
@@ -15,7 +17,11 @@ from prtbake_workers.validation.scene import ValidationScene
 
 @dataclass(frozen=True)
 class PixelHits:
-    """The pixels of one camera that show a front face, and the vertices behind them."""
+    """The pixels of one camera that show a front face, and the vertices behind them.
+
+    ``frames`` are those that true BRDFs are read in: where they are anisotropic, the corners' own,
+    their tangents interpolated and laid into the tangent plane again.
+    """
 
     width: int
     height: int
@@ -64,15 +70,23 @@ def trace_camera(validation: ValidationScene, camera: Camera, width: int, height
     points = interpolate_surface(scene, triangles, barycentrics.astype(np.float64))
     keep = np.flatnonzero((wo * points.side).sum(axis=1) > 0.0)
     wo = above_horizon(wo, points.normals)
+    parts = validation.part_of_triangle(triangles)
+    frames = tangent_frames(points.normals)
+    for index, part in enumerate(validation.parts):
+        if not is_isotropic(part.brdf):
+            own = np.flatnonzero(parts == index)
+            frames[own] = interpolated_frames(
+                scene, triangles[own], barycentrics[own].astype(np.float64), points.normals[own]
+            )
     return PixelHits(
         width=width,
         height=height,
         pixels=pixels[keep],
         triangles=triangles[keep],
         barycentrics=barycentrics[keep],
-        parts=validation.part_of_triangle(triangles[keep]),
+        parts=parts[keep],
         points=points.block(keep),
-        frames=tangent_frames(points.normals[keep]),
+        frames=frames[keep],
         wo=wo[keep],
         vertices=np.unique(corners[keep]).astype(np.int64),
     )

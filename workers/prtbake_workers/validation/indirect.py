@@ -1,7 +1,6 @@
 """Light of the chain's reference by paths from the pixels' own points: of bounces and of media."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +8,6 @@ from prtbake_storage.contract.settings import MEDIUM_PATHS, ValidateSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, I64, Float64
 from prtbake_workers.brdf.lambert import Lambert
-from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.dipole_sampling import DipoleSampler
 from prtbake_workers.transport.path_material import PathMaterial
@@ -45,12 +43,10 @@ class PathLight:
     def __init__(self, validation: ValidationScene, hits: PixelHits, n_bounces: int) -> None:
         self._environment = validation.environment
         self._n_bounces = n_bounces
-        scene = validation.scene
-        # isotropic BRDFs look alike in any frames, but paths drawn in others would be others
-        upright = replace(scene, frames=tangent_frames(scene.normals))
-        self._surface = OpaqueSurface(upright, validation.accelerator)
+        scene = validation.shading_scene
+        self._surface = OpaqueSurface(scene, validation.accelerator)
         self._materials = [
-            _material(validation, index, upright) for index in range(len(validation.parts))
+            _material(validation, index, scene) for index in range(len(validation.parts))
         ]
         self._points = PathPoints(
             hits.points, hits.frames, hits.wo, hits.triangles, hits.barycentrics.astype(np.float64)

@@ -4,10 +4,8 @@ All of them use the same light samples in the same pass.
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from prtbake_workers.arrays import F64, I64, Float64, Int64
-from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.transport.reference import (
     LightPass,
     SurfacePoints,
@@ -15,43 +13,10 @@ from prtbake_workers.transport.reference import (
     to_local,
     visible_cosine,
 )
+from prtbake_workers.validation.exact_terms import ExactTerms
 from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 from prtbake_workers.validation.shading import texture_albedo, view_terms
-
-EXACT_NODES = 2049
-"""Cosine nodes of the exact radial functions; cubic between them, so far finer than any table."""
-
-
-class ExactTerms:
-    """The separable terms without their tables, fast enough for pixels x samples.
-
-    Radial functions come from the defining sums (Nystroem) at many nodes of theta.
-    """
-
-    def __init__(self, factorisation: Factorisation) -> None:
-        theta = np.linspace(0.0, 0.5 * np.pi, EXACT_NODES)
-        cosines = np.cos(theta)
-        self._factorisation = factorisation
-        self._psi = CubicSpline(theta, factorisation.radial_exact(cosines, light_side=True))
-        self._phi = CubicSpline(theta, factorisation.radial_exact(cosines, light_side=False))
-
-    def eval_psi(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
-        """Light side, without cosine."""
-        return self._evaluate(self._psi, wi)[..., 0]
-
-    def eval_phi(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
-        """View side, without cosine."""
-        return self._evaluate(self._phi, wo)
-
-    def _evaluate(
-        self, radial: CubicSpline, directions: Float64[F64, "n 3"]
-    ) -> Float64[F64, "n terms columns"]:
-        own = self._factorisation
-        value = radial(np.arccos(np.clip(directions[:, 2], 0.0, 1.0)))[:, own.unit_of_term]
-        azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-        turn = np.cos(azimuth[:, None] * own.orders - own.parity * (0.5 * np.pi))
-        return np.asarray(value * np.where(directions[:, 2:] > 0.0, turn, 0.0)[..., None])
 
 
 def pixel_pictures(

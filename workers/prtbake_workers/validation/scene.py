@@ -1,17 +1,19 @@
 """What a validation holds against each other: the true scene and the steps towards its asset."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from prtbake_storage.decode.asset import Asset, LightFit
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.srbf import SrbfBasis
-from prtbake_workers.brdf.base import Brdf
+from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.directions import CubeDirections
@@ -59,6 +61,19 @@ class ValidationScene:
     light: LightFit
     baked_bounces: bool
     """Whether the stored transfer holds bounces."""
+
+    @cached_property
+    def shading_scene(self) -> Scene:
+        """The scene in the frames that the true BRDFs are read in.
+
+        Those of the normals alone where a BRDF is isotropic: it looks alike in any, but paths drawn
+        in others would be others.
+        """
+        frames = tangent_frames(self.scene.normals)
+        for part, (start, stop) in zip(self.parts, self.scene.part_ranges, strict=True):
+            if not is_isotropic(part.brdf):
+                frames[start:stop] = self.scene.frames[start:stop]
+        return replace(self.scene, frames=frames)
 
     @property
     def finest(self) -> Asset:

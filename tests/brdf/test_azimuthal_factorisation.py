@@ -6,7 +6,7 @@ import pytest
 
 from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec, PhongSpec
 from prtbake_storage.errors import CorruptArtefact
-from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.hemisphere_grid import norm_of_order
 from prtbake_workers.brdf.registry import brdf_from_spec
@@ -158,13 +158,13 @@ def test_tables_come_back_through_hdf5(tmp_path, spec, directions):
                 file.attrs[name] = value
     with h5py.File(tmp_path / "tables.h5") as file:
         tables = {name: data[()] for name, data in file.items()} | dict(file.attrs)
-    back = Factorisation.from_tables(tables)
+    back = AzimuthalFactorisation.from_tables(tables)
     w = directions(100)
     np.testing.assert_array_equal(back.eval_psi(w), found.eval_psi(w))
     np.testing.assert_array_equal(back.eval_phi(w), found.eval_phi(w))
     assert (back.note, back.requested_terms) == (found.note, 15)
     assert (back.energy_lost, back.is_constant_phi) == (found.energy_lost, found.is_constant_phi)
-    again = Factorisation.from_tables(tables, brdf=brdf)
+    again = AzimuthalFactorisation.from_tables(tables, brdf=brdf)
     np.testing.assert_array_equal(again.eval_psi_exact(w), found.eval_psi_exact(w))
 
 
@@ -172,6 +172,6 @@ def test_missing_tables_are_named(gloss):
     tables = gloss.tables()
     del tables["phi_table"], tables["n_phi"]
     with pytest.raises(CorruptArtefact, match="phi_table, n_phi"):
-        Factorisation.from_tables(tables)
+        AzimuthalFactorisation.from_tables(tables)
     with pytest.raises(ValueError, match="needs the BRDF"):
-        Factorisation.from_tables(gloss.tables()).eval_psi_exact(np.array([[0, 0, 1.0]]))
+        AzimuthalFactorisation.from_tables(gloss.tables()).eval_psi_exact(np.array([[0, 0, 1.0]]))
