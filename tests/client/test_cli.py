@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
-from prtbake.cli.requests import medium_value, receiver_value
+from prtbake.cli.requests import medium_value, receiver_value, tangents_value
 from prtbake_service.testing import LiveService
 from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
@@ -65,7 +65,7 @@ def test_submit_asset_from_words(
         *("submit", "asset", "--mesh", "builtin:teapot:3", "--environment", environment),
         *("--brdf", "lambert,albedo=0.9:0.2:0.1", "--quality", "draft"),
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
-        *("--subsurface", "marble,mm_per_unit=10"),
+        *("--subsurface", "marble,mm_per_unit=10", "--tangents", "0:1:-0.5"),
         *("--albedo-texture", texture, "--vertex-colours", "--set", "bake.n_terms=16"),
         *("--set", "compress.ranks=8,48,24", "-o", "json"),
     )
@@ -80,6 +80,7 @@ def test_submit_asset_from_words(
     assert request["subsurface"]["medium"] == "marble"
     assert request["subsurface"]["mm_per_unit"] == 10.0
     assert request["vertex_colours"] is True
+    assert request["tangents"] == [0.0, 1.0, -0.5]
 
 
 def test_a_plane_is_words_or_json() -> None:
@@ -110,6 +111,14 @@ def test_a_medium_is_a_name_parameters_or_json() -> None:
     ):
         with pytest.raises(typer.BadParameter, match=said):
             medium_value(wrong)
+
+
+def test_tangents_are_a_word_or_a_direction() -> None:
+    assert tangents_value("uv") == "uv"
+    assert tangents_value("1:0:2.5") == [1.0, 0.0, 2.5]
+    for wrong in ("vertical", "1:2", "1:2:x"):
+        with pytest.raises(typer.BadParameter, match="0:1:0"):
+            tangents_value(wrong)
 
 
 def test_a_brdf_is_inline_json_or_a_file_to_register(

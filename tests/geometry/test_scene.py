@@ -46,3 +46,14 @@ def test_shapes_are_checked_in_tests():
     sphere = sphere_mesh(0)
     with pytest.raises(TypeError):
         Mesh(sphere.positions, sphere.faces, sphere.normals[:-1])
+
+
+def test_frames_that_are_given_are_not_turned():
+    sphere, grid = sphere_mesh(1), grid_mesh(2, 3)
+    given = tangent_frames(sphere.normals)[:, [1, 0, 2]] * [[[1.0], [-1.0], [1.0]]]
+    scene = Scene.from_parts([sphere, grid], frame_seed=3, frames=[given, None])
+    assert (scene.frames[:42] == given).all()
+    free = tangent_frames(scene.normals, seed=3)
+    assert (scene.frames[42:] == free[42:]).all()
+    with pytest.raises(ValueError, match="shorter"):
+        Scene.from_parts([sphere, grid], frames=[given])

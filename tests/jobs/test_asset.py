@@ -427,6 +427,7 @@ def test_a_piece_that_was_inside_out_is_said_to_be_turned_outward(store):
         ({"settings": {"bake": {"bandwidth": 5e4}}}, "/settings/bake/bandwidth"),
         ({"settings": {"compress": {"method": "cpca"}}}, "/settings/compress/method"),
         ({"albedo_texture": "sha256:" + "0" * 64}, "/albedo_texture"),
+        ({"tangents": "uv"}, "/tangents"),
     ],
 )
 def test_what_cannot_be_baked_is_refused_before_the_first_ray(store, changes, pointer):

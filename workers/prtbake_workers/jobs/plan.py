@@ -146,7 +146,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[
             *notes,
-            *grain_notes(grain, args["tangents"]),
+            *grain_notes(grain, parts[0].tangents),
             *repairs(report),
             *report.get("warnings", []),
         ],

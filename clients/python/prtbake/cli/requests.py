@@ -106,6 +106,14 @@ Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file
 Colours = Annotated[
     bool, typer.Option("--vertex-colours", help="Multiply the albedo by the colours of the mesh.")
 ]
+TangentsWord = Annotated[
+    str,
+    typer.Option(
+        "--tangents",
+        metavar="WHERE",
+        help="Of an anisotropic BRDF: horizontal, uv, or a direction as 0:1:0.",
+    ),
+]
 Effect = Annotated[
     list[str] | None,
     typer.Option(
@@ -162,6 +170,7 @@ def asset(
     albedo_texture: Texture = None,
     subsurface: Medium = None,
     vertex_colours: Colours = False,
+    tangents: TangentsWord = "horizontal",
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
@@ -176,7 +185,16 @@ def asset(
     """Bake, compress, fit the light, render, validate, report: the main job."""
     settings = _stage_settings(setting)
     scene = _scene(
-        client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
+        client,
+        mesh,
+        brdf,
+        receiver,
+        albedo_texture,
+        subsurface,
+        tangents,
+        effect,
+        mesh_format,
+        crease_angle,
     )
     if vertex_colours:
         scene["vertex_colours"] = True
@@ -200,6 +218,7 @@ def bake(
     albedo_texture: Texture = None,
     subsurface: Medium = None,
     vertex_colours: Colours = False,
+    tangents: TangentsWord = "horizontal",
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
@@ -212,7 +231,16 @@ def bake(
     """Simulate transport: gives transfer.h5."""
     settings = _settings(setting, BakeSettings)
     scene = _scene(
-        client, mesh, brdf, receiver, albedo_texture, subsurface, effect, mesh_format, crease_angle
+        client,
+        mesh,
+        brdf,
+        receiver,
+        albedo_texture,
+        subsurface,
+        tangents,
+        effect,
+        mesh_format,
+        crease_angle,
     )
     if vertex_colours:
         scene["vertex_colours"] = True
@@ -386,6 +414,7 @@ def _scene(
     receiver: str | None,
     texture: str | None,
     medium: str | None,
+    tangents: str,
     effects: list[str] | None,
     mesh_format: str,
     crease_angle: float | None,
@@ -398,6 +427,8 @@ def _scene(
             name: {True: "on", False: "off"}.get(value, value) for name, value in given.items()
         },
     }
+    if tangents != "horizontal":
+        scene["tangents"] = tangents_value(tangents)
     if receiver is not None:
         scene["receiver"] = receiver_value(receiver)
     if medium is not None:
@@ -450,6 +481,19 @@ def _json(text: str, option: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise typer.BadParameter(f"not JSON: {error}", param_hint=option) from error
+
+
+def tangents_value(text: str) -> str | list[float]:
+    """Read ``--tangents``: a word, or a direction as x:y:z."""
+    if text in ("horizontal", "uv"):
+        return text
+    try:
+        x, y, z = (float(number) for number in text.split(":"))
+    except ValueError as error:
+        raise typer.BadParameter(
+            "write horizontal, uv, or a direction as 0:1:0", param_hint="--tangents"
+        ) from error
+    return [x, y, z]
 
 
 def _settings(pairs: list[str] | None, model: type[BaseModel]) -> Request:
