@@ -152,6 +152,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         ],
         media={part: own for part, own in enumerate(media) if own is not None},
         scattering=scattering.parts,
+        n_oriented=sum(own is not None for own in grain),
     )
     bounces = None
     if plan.bounces is not None:

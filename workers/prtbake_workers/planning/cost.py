@@ -36,6 +36,8 @@ SCATTERED_PATHS_PER_SECOND = 5.0e4
 """Paths that begin on a medium, with the lines that look for where light entered."""
 GZIP_BYTES_PER_SECOND = 3.0e7
 CHILD_START_S = 1.5
+ORIENTED_SECONDS, ORIENTED_BYTES = 8.0, 300_000_000
+"""Of factorising one anisotropic BRDF; an isotropic one takes a fraction of a second."""
 TILE_SECONDS = 8.0
 """A tile is the unit of resumption: long against its start, short against a human's patience."""
 TILE_BYTES = 400_000_000
@@ -81,10 +83,14 @@ def tile_vertices(
     return chunk * max(1, int(wanted // chunk))
 
 
-def plan_memory_bytes(bake: BakeSettings) -> int:
-    """Predict the peak memory of planning: basis and projection, without scene and texture."""
+def plan_memory_bytes(bake: BakeSettings, *, oriented: bool = False) -> int:
+    """Predict the peak memory of planning: basis and projection, without scene and texture.
+
+    ``oriented`` tells that a BRDF is anisotropic, which is factorised before.
+    """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
-    return CHILD_BYTES + 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
+    solving = 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
+    return CHILD_BYTES + max(solving, ORIENTED_BYTES if oriented else 0)
 
 
 def tile_memory_bytes(bake: BakeSettings, *, n_terms: int, n_verts: int) -> int:

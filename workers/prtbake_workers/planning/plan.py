@@ -14,6 +14,7 @@ from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
+    ORIENTED_SECONDS,
     PartCost,
     bounce_seconds,
     compress_memory_bytes,
@@ -195,12 +196,14 @@ def make_plan(
     notes: list[str],
     media: Mapping[int, Dipole] = MappingProxyType({}),
     scattering: Sequence[int] = (),
+    n_oriented: int = 0,
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
     ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
-    ``scattering`` the parts of these whose scattering is simulated.
+    ``scattering`` the parts of these whose scattering is simulated, ``n_oriented`` how many parts
+    have an anisotropic BRDF.
     """
     simulated = {part: media[part] for part in scattering}
     bounces = plan_bounces(scene, part_terms, effects, settings.bake, simulated)
@@ -246,7 +249,7 @@ def make_plan(
         )
     tiles = sum(len(part.tiles) for part in parts)
     seconds = {
-        "plan": CHILD_START_S + 2.0,
+        "plan": CHILD_START_S + 2.0 + n_oriented * ORIENTED_SECONDS,
         # as the report measures it: summed over the tiles, whose threads work side by side
         "bake": tiles * CHILD_START_S
         + sum(part.cost.bake_seconds for part in parts) / settings.bake.threads,
@@ -295,7 +298,7 @@ def make_plan(
             "asset.h5": sum(part.cost.asset_bytes for part in parts),
         },
         memory_bytes={
-            "plan": plan_memory_bytes(settings.bake),
+            "plan": plan_memory_bytes(settings.bake, oriented=n_oriented > 0),
             "bake": max(
                 tile_memory_bytes(
                     settings.bake,
