@@ -19,7 +19,7 @@ from support.scenes import asset_request, context_of, run_asset, run_until, teap
 TINT = [0.9, 0.5, 0.8]
 WHITE = {"model": "lambert", "albedo": TINT}
 MARBLE = {"medium": "marble", "mm_per_unit": 2.0}
-BAKE = {"n_centres": 42, "bounce_rays": 16, "max_bounces": 3}
+BAKE = {"cube_resolution": 8, "n_centres": 42, "bounce_rays": 16, "max_bounces": 3}
 ALONE = {"interreflection": "off"}
 
 

@@ -16,7 +16,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.transport import path_tracer
+from prtbake_workers.transport import path_material
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
@@ -167,11 +167,11 @@ def test_any_proposal_has_the_same_expectation(nook, monkeypatch):
     brdfs = [material.brdf for material in NOOK_MATERIALS]
     options = {"n_bounces": 3, "n_passes": 8}
     fitted = trace(nook, NOOK_MATERIALS, points, light, **options)
-    monkeypatch.setattr(path_tracer, "fit_proposal", lambda brdf: Proposal(0.5, 0.2))
+    monkeypatch.setattr(path_material, "fit_proposal", lambda brdf: Proposal(0.5, 0.2))
     other = trace(nook, materials(*brdfs), points, light, **options, seed=2)
     assert_same_expectation(fitted, other)
     # the negative twin: a density that is 10 % too large
-    monkeypatch.setattr(path_tracer, "fit_proposal", lambda brdf: TooLarge(0.5, 0.2))
+    monkeypatch.setattr(path_material, "fit_proposal", lambda brdf: TooLarge(0.5, 0.2))
     with pytest.raises(AssertionError):
         assert_same_expectation(
             fitted, trace(nook, materials(*brdfs), points, light, **options, seed=2)

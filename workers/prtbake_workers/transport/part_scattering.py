@@ -5,8 +5,10 @@ for all of them.
 """
 
 from dataclasses import dataclass
+from os import SEEK_END
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -60,23 +62,23 @@ class PartScattering:
         self.operator = SubsurfaceOperator(scene, dipole)
         self._rows: list[_Rows] = []
         kept = n_clusters = n_triangles = 0
-        for start in range(0, scene.n_vertices, VERTICES_PER_CHUNK):
-            rows = np.arange(start, min(start + VERTICES_PER_CHUNK, scene.n_vertices))
-            block = self.operator.block(rows)
-            first = block.matrices[0]
-            one = _Rows(
-                start,
-                first.indptr,
-                first.indices,
-                np.stack([matrix.data for matrix in block.matrices]),
-            )
-            if scratch is not None and kept + _n_bytes(one) > KEPT_BYTES:
-                one = _spilled(one, scratch)
-            else:
-                kept += _n_bytes(one)
-            self._rows.append(one)
-            n_clusters += block.n_clusters
-            n_triangles += block.n_triangles
+        with TemporaryFile(dir=scratch) as file:
+            spill = _Spill(file)
+            for start in range(0, scene.n_vertices, VERTICES_PER_CHUNK):
+                rows = np.arange(start, min(start + VERTICES_PER_CHUNK, scene.n_vertices))
+                block = self.operator.block(rows)
+                first = block.matrices[0]
+                values = np.stack([matrix.data for matrix in block.matrices])
+                one = _Rows(start, first.indptr, first.indices, values)
+                n_bytes = one.columns.nbytes + one.values.nbytes
+                if scratch is not None and kept + n_bytes > KEPT_BYTES:
+                    spill.add(one)
+                else:
+                    kept += n_bytes
+                    self._rows.append(one)
+                n_clusters += block.n_clusters
+                n_triangles += block.n_triangles
+            self._rows += spill.rows()
         self.report: SubsurfaceReport = self.operator.report(n_clusters, n_triangles)
 
     def apply(
@@ -129,18 +131,30 @@ class PartScattering:
         return self.operator.measured_error(transfer, np.unique(rows))
 
 
-def _n_bytes(rows: _Rows) -> int:
-    return rows.indptr.nbytes + rows.columns.nbytes + rows.values.nbytes
+class _Spill:
+    """Rows in a file without a name, which goes when nothing maps it any more."""
 
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._added: list[tuple[int, I32, int, tuple[int, int]]] = []
 
-def _spilled(rows: _Rows, folder: Path) -> _Rows:
-    """Move columns and values to files."""
+    def add(self, rows: _Rows) -> None:
+        """Write columns and values at the end."""
+        at = self._file.tell() // rows.columns.itemsize
+        self._added.append((rows.start, rows.indptr, at, rows.values.shape))
+        rows.columns.tofile(self._file)
+        rows.values.tofile(self._file)
+        self._file.seek(0, SEEK_END)
 
-    def mapped(name: str, values: Any) -> Any:
-        path = folder / f"scattering-{rows.start}-{name}.npy"
-        np.save(path, values)
-        return np.load(path, mmap_mode="r")
-
-    return _Rows(
-        rows.start, rows.indptr, mapped("columns", rows.columns), mapped("values", rows.values)
-    )
+    def rows(self) -> list[_Rows]:
+        """Map all of them at once."""
+        if not self._added:
+            return []
+        self._file.flush()
+        words: I32 = np.asarray(np.memmap(self._file, np.int32, mode="r"))
+        found = []
+        for start, indptr, at, (n_channels, n_entries) in self._added:
+            values = words[at + n_entries : at + (1 + n_channels) * n_entries].view(np.float32)
+            shaped = values.reshape(n_channels, n_entries)
+            found.append(_Rows(start, indptr, words[at : at + n_entries], shaped))
+        return found

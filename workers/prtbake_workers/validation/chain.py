@@ -47,7 +47,8 @@ PARTLY_SCATTERED = "scattering left out of some parts"
 """What stands before that where parts have a medium."""
 
 MEANINGS = {
-    "reference": "brute force: importance sampling, shadow rays, the true BRDF, paths for bounces",
+    "reference": "brute force: importance sampling, shadow rays, the true BRDF, paths for bounces "
+    "and media",
     "K terms": "the BRDF cut to a sum of K products",
     "BRDF tables": "the products' factors read from tables and a texture",
     "vertex interpolation": "light gathered at vertices, colours interpolated between them",
