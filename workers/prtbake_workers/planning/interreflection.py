@@ -37,12 +37,14 @@ class BounceProbe:
 
     ``share`` is its squared norm over that of the direct transfer, ``chroma`` that of what one
     channel in place of three would miss of it, ``hit_share`` the share of rays that meet the front
-    of a surface.
+    of a surface, ``variance`` the squared error of gathering it with one ray a vertex, over the
+    direct transfer's squared norm.
     """
 
     share: float
     chroma: float
     hit_share: float
+    variance: float
     n_rays: int
 
 
@@ -81,10 +83,14 @@ def probe_bounce(
     rays, triangles = hits.rays[front], hits.triangles[front]
     hit_share = len(front) / len(world)
     if len(front) == 0 or albedo.is_black or direct == 0.0:
-        return BounceProbe(0.0, 0.0, hit_share, len(world))
-    sent = _sent(
-        surface, triangles, hits.barycentrics[front], -world[rays].astype(np.float64),
-        factorisations, albedo, rng,
+        return BounceProbe(0.0, 0.0, hit_share, 0.0, len(world))
+    # twice, from rays of their own: the product is free of the noise of either
+    sent, again = (
+        _sent(
+            surface, triangles, hits.barycentrics[front], -world[rays].astype(np.float64),
+            factorisations, albedo, rng,
+        )
+        for _ in range(2)
     )  # fmt: skip
     # (halves, vertices, terms, channels x coefficients)
     bounced = np.zeros((2, count, psi.shape[1], 3 * ORDER**2))
@@ -98,7 +104,9 @@ def probe_bounce(
     if max(albedo.n_channels, *(own.n_channels for own in factorisations)) > 1:
         beside = bounced - bounced.mean(axis=3, keepdims=True)
         chroma = float((beside[0] * beside[1]).sum()) * RAYS / direct
-    return BounceProbe(max(share, 0.0), max(chroma, 0.0), hit_share, len(world))
+    single = (psi[rays] ** 2).sum(axis=1) @ (sent * again).sum(axis=(1, 2))
+    variance = np.pi**2 * float(single) / direct - share
+    return BounceProbe(max(share, 0.0), max(chroma, 0.0), hit_share, max(variance, 0.0), len(world))
 
 
 def _sent(
@@ -170,6 +178,7 @@ def decide_bounces(
         "probe_rays": sum(probe.n_rays for probe in probes),
         "hit_share": hit_share,
         "first_bounce_share": max(probe.share for probe in probes),
+        "variance": max(probe.variance for probe in probes),
         "tolerance": bake.bounce_tolerance,
     }
     bounces = _decision(
