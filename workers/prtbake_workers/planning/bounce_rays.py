@@ -19,8 +19,8 @@ silhouettes, and 1 where it is all noise; 1.35 to 1.47 was measured from 1 to 64
 """
 
 
-def bounce_rays(decided: Decision, bake: BakeSettings) -> int:
-    """Choose the rays of a vertex: ``bake.bounce_rays``, or fewer where their noise allows it.
+def bounce_rays(decided: Decision, bake: BakeSettings) -> tuple[int, ...]:
+    """Choose the rays of a vertex of each part: ``bake.bounce_rays``, or fewer if noise allows it.
 
     Forcing interreflection takes them all: light below the tolerance would drown in noise that is
     measured by it.
@@ -28,13 +28,14 @@ def bounce_rays(decided: Decision, bake: BakeSettings) -> int:
     Parameters
     ----------
     decided
-        On interreflection; ``variance`` of its evidence is the squared error of one ray a vertex
-        over the direct transfer's squared norm.
+        On interreflection; ``variances`` of its evidence are the squared errors of one ray a vertex
+        over the squared norm of a part's direct transfer.
     bake
         Settings, with the tolerance.
     """
     allowed = NOISE_SHARE * bake.bounce_tolerance
+    variances = decided.evidence["variances"]
     if decided.forced or allowed == 0.0:
-        return bake.bounce_rays
-    needed = ceil((decided.evidence["variance"] / allowed) ** (1.0 / FALL))
-    return min(bake.bounce_rays, max(FEWEST, needed))
+        return (bake.bounce_rays,) * len(variances)
+    needed = [ceil((variance / allowed) ** (1.0 / FALL)) for variance in variances]
+    return tuple(min(bake.bounce_rays, max(FEWEST, one)) for one in needed)

@@ -63,13 +63,14 @@ class BouncePlan:
     """How light that surfaces send to each other, and that scatters inside them, is simulated.
 
     ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
-    has bounces of its own, as ``coloured`` says, or a medium has colours.  Parts in ``scattering``
-    scatter light inside; ``max_bounces`` is 0 where that is all there is.
+    has bounces of its own, as ``coloured`` says, or a medium has colours; ``n_rays`` are those of a
+    vertex, part by part.  Parts in ``scattering`` scatter light inside; ``max_bounces`` is 0 where
+    that is all there is.
     """
 
     n_channels: int
     coloured: bool
-    n_rays: int
+    n_rays: tuple[int, ...]
     max_bounces: int
     tolerance: float
     scattering: tuple[int, ...]
