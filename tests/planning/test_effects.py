@@ -21,7 +21,8 @@ from prtbake_workers.geometry.receiver import receiver_plane
 from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.teapot import teapot
-from prtbake_workers.planning.effects import convexity_defect, decide_effects, probe_occlusion
+from prtbake_workers.planning.convexity import convexity_defect, scattered_shadows
+from prtbake_workers.planning.effects import decide_effects, probe_occlusion
 from prtbake_workers.planning.plan import occluders_of
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bake import bake_block
@@ -129,6 +130,45 @@ def test_vertices_split_along_creases_change_no_decision(make):
         found[angle] = (convexity_defect(mesh), by_name["self_shadowing"].taken)
     assert found[180.0] == found[30.0]
     assert found[30.0][1] == (found[30.0][0] > 1e-6)
+
+
+def balls(distance, *, dented=False):
+    one, other = sphere_mesh(3), dented_sphere() if dented else sphere_mesh(3)
+    positions = np.concatenate([one.positions, other.positions + np.array([distance, 0.0, 0.0])])
+    faces = np.concatenate([one.faces, other.faces + len(one.positions)]).astype(np.int32)
+    return Mesh(positions, faces, np.concatenate([one.normals, other.normals]), None)
+
+
+@pytest.mark.parametrize("factorisation", [DIFFUSE, GLOSSY], ids=["diffuse", "glossy"])
+def test_the_bound_on_scattered_shadows_holds_at_the_worst_point(factorisation):
+    """Against the disc that one ball is in the sky of the point of the other that faces it."""
+    for distance in (6.0, 20.0):
+        half = np.arcsin(1.0 / (distance - 1.0))
+        # straight up, where the diffuse transfer is largest; the glossy one is not smooth there
+        polar = np.linspace(0.0, half, 400)
+        local = np.stack([np.sin(polar), np.zeros(400), np.cos(polar)], axis=1)
+        density = (factorisation.eval_psi(local) ** 2).sum(axis=1) * local[:, 2] ** 2
+        lost = 2.0 * np.pi * np.trapezoid(density * np.sin(polar), polar)
+        polar = np.linspace(0.0, 0.5 * np.pi, 4000)
+        local = np.stack([np.sin(polar), np.zeros(4000), np.cos(polar)], axis=1)
+        density = (factorisation.eval_psi(local) ** 2).sum(axis=1) * local[:, 2] ** 2
+        whole = 2.0 * np.pi * np.trapezoid(density * np.sin(polar), polar)
+        bound = scattered_shadows(balls(distance), factorisation)
+        assert bound > lost / (whole - lost)
+        if factorisation is DIFFUSE:
+            # the facing point is the worst, and there the bound is nearly tight
+            assert bound == pytest.approx(lost / (whole - lost), rel=0.05)
+
+
+def test_balls_far_apart_need_no_shadows_and_near_ones_do():
+    for distance, taken in ((80.0, False), (6.0, True)):
+        by_name, _, _ = decisions([balls(distance)], watertight=True)
+        assert by_name["self_shadowing"].taken == taken
+    assert "far apart" in decisions([balls(80.0)], watertight=True)[0]["self_shadowing"].reason
+    # what proves nothing: a dent, pieces in each other, an open surface
+    assert scattered_shadows(balls(80.0, dented=True), DIFFUSE) == float("inf")
+    assert scattered_shadows(balls(0.5), DIFFUSE) == float("inf")
+    assert decisions([balls(80.0)], watertight=False)[0]["self_shadowing"].taken
 
 
 def test_a_small_object_on_a_wide_plane_keeps_its_shadows():

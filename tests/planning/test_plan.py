@@ -23,7 +23,7 @@ def plan_of(settings, terms, *, share=0.0, coloured=False):
         Decision("self_shadowing", True, False, "", {}),
         Decision("receiver_shadows", False, False, "", {}),
         Decision("interreflection", share > 0.0, False, "",
-                 {"first_bounce_share": share, "hit_share": 0.3}),
+                 {"first_bounce_share": share, "hit_share": 0.3, "variances": [share]}),
         Decision("colour_bleeding", coloured, False, "", {}),
     ]  # fmt: skip
     return scene, make_plan(

@@ -3,6 +3,7 @@
 import importlib
 import json
 import time
+from collections.abc import Callable
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
@@ -15,19 +16,29 @@ def run_stages(stages: list[Stage], store: BlobStore) -> Results:
     """Run every task of every stage in order; arguments and results pass through JSON."""
     results = Results()
     for stage in stages:
-        values, measured = [], []
-        for task in stage.tasks(results):
-            module, name = task.function.split(":")
-            function = getattr(importlib.import_module(module), name)
-            began = time.perf_counter()
-            with store.scratch() as scratch:
-                context = TaskContext(store, scratch, lambda _: None)
-                value = function(json.loads(json.dumps(task.args)), context)
-            # as a worker's child sends it: NaN and infinity are no JSON
-            values.append(json.loads(json.dumps(value, allow_nan=False)))
-            measured.append(Measured(time.perf_counter() - began, 1))
-        results.add(stage.name, values, measured)
+        run_stage(stage, results, store)
     return results
+
+
+def run_stage(
+    stage: Stage,
+    results: Results,
+    store: BlobStore,
+    clock: Callable[[], float] = time.perf_counter,
+) -> None:
+    """Run the tasks of one stage and enter what they returned and how long they took."""
+    values, measured = [], []
+    for task in stage.tasks(results):
+        module, name = task.function.split(":")
+        function = getattr(importlib.import_module(module), name)
+        began = clock()
+        with store.scratch() as scratch:
+            context = TaskContext(store, scratch, lambda _: None)
+            value = function(json.loads(json.dumps(task.args)), context)
+        # as a worker's child sends it: NaN and infinity are no JSON
+        values.append(json.loads(json.dumps(value, allow_nan=False)))
+        measured.append(Measured(clock() - began, 1))
+    results.add(stage.name, values, measured)
 
 
 def registered(store: BlobStore, kind: str, **registration: Any) -> dict[str, Any]:

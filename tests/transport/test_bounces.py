@@ -40,8 +40,8 @@ def positive(scene, factorisations):
 def bounced(surface, direct, factorisations, albedo, **changes):
     settings = {"max_bounces": 30, "tolerance": 1e-6, "n_channels": albedo.n_channels} | changes
     return bounce_block(
-        surface, direct, factorisations=factorisations, albedo=albedo, n_rays=N_RAYS, seed=SEED,
-        **settings,
+        surface, direct, factorisations=factorisations, albedo=albedo,
+        n_rays=[N_RAYS] * len(direct), seed=SEED, **settings,
     )  # fmt: skip
 
 
@@ -125,8 +125,8 @@ def test_the_estimate_for_glossy_parts_is_of_the_right_size(surface, diffuse):
     # the noise of 64 rays against the same bounce from sixteen times as many
     one = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=1)
     many = bounce_block(
-        surface, direct, factorisations=parts, albedo=albedo, n_channels=1, n_rays=1024, seed=99,
-        max_bounces=1, tolerance=0.0,
+        surface, direct, factorisations=parts, albedo=albedo, n_channels=1,
+        n_rays=[1024] * len(direct), seed=99, max_bounces=1, tolerance=0.0,
     )  # fmt: skip
     error = missed(scene, one, many)
     # of 128 vertices a part, and stratified rays gain more than the square root

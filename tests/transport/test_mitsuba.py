@@ -14,9 +14,9 @@ from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.reading import read_environment
 from prtbake_workers.environment.resampling import box_filter
 from prtbake_workers.geometry.loading import load_mesh
-from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.receiver import receiver_plane
-from support.bounce_scenes import patch
+from support import coloured_box
+from support.coloured_box import SUZANNE, WALL_COLOURS
 
 pytestmark = [pytest.mark.real_data, pytest.mark.mitsuba]
 
@@ -24,8 +24,6 @@ LOG = logging.getLogger(__name__)
 
 MOST = 1e-3
 """relMSE of the two pictures, their noise included."""
-
-WHITE, RED, GREEN = ([0.75, 0.75, 0.75], [0.75, 0.15, 0.1], [0.1, 0.6, 0.15])
 
 
 @pytest.fixture(scope="module")
@@ -38,23 +36,14 @@ def suzanne_in_a_box(data_dir, metal=0.0):
     """Diffuse, or in part rough metal, in a box that is open at the top and in front."""
     from support.mitsuba_render import DiffuseAndMetal, View
 
-    mesh, _ = load_mesh((data_dir / "meshes" / "suzanne.obj").read_bytes(), "obj")
-    size = 1.1 / np.ptp(mesh.bounds, axis=0).max()
-    suzanne = Mesh(
-        (mesh.positions - mesh.bounds.mean(axis=0)) * size - [0.0, 0.35, 0.0],
-        mesh.faces,
-        mesh.normals,
-    )
-    walls = [
-        patch([-1, -1, 1], [2, 0, 0], [0, 0, -2], 4, 4),
-        patch([-1, -1, -1], [2, 0, 0], [0, 2, 0], 4, 4),
-        patch([-1, -1, 1], [0, 0, -2], [0, 2, 0], 4, 4),
-        patch([1, -1, -1], [0, 0, 2], [0, 2, 0], 4, 4),
-    ]
-    kd = np.array([0.6, 0.55, 0.5])
+    kd = np.array(SUZANNE)
     own = DiffuseAndMetal((1.0 - metal) * kd, metal, 0.2) if metal else Lambert(kd)
-    brdfs = [own, *(Lambert(np.array(colour)) for colour in (WHITE, WHITE, RED, GREEN))]
-    return [suzanne, *walls], brdfs, View((0.0, 0.4, 3.4), (0.0, -0.1, 0.0), 38.0, 24, 18)
+    brdfs = [own, *(Lambert(np.array(colour)) for colour in WALL_COLOURS)]
+    return (
+        coloured_box.suzanne_in_a_box(data_dir, 4),
+        brdfs,
+        View((0.0, 0.4, 3.4), (0.0, -0.1, 0.0), 38.0, 24, 18),
+    )
 
 
 def bunny_on_a_plane(data_dir):

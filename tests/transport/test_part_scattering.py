@@ -57,7 +57,8 @@ def dense(scene, dipole):
 def bounced(surface, direct, scattering, **changes):
     settings = {"max_bounces": 30, "tolerance": 0.0, "n_channels": 3} | changes
     return bounce_block(
-        surface, direct, factorisations=[DIFFUSE] * 2, albedo=ALBEDO, n_rays=N_RAYS, seed=SEED,
+        surface, direct, factorisations=[DIFFUSE] * 2, albedo=ALBEDO,
+        n_rays=[N_RAYS] * 2, seed=SEED,
         scattering=scattering, **settings,
     )  # fmt: skip
 
@@ -117,8 +118,8 @@ def test_the_noise_of_rays_is_no_larger_than_said(surface, scattering, direct):
     """Of the first bounce, over two seeds; scattering evens out what it gathers."""
     found = [
         bounce_block(
-            surface, direct, factorisations=[DIFFUSE] * 2, albedo=ALBEDO, n_channels=3, n_rays=16,
-            seed=seed, max_bounces=1, tolerance=0.0, scattering=[scattering, None],
+            surface, direct, factorisations=[DIFFUSE] * 2, albedo=ALBEDO, n_channels=3,
+            n_rays=[16] * 2, seed=seed, max_bounces=1, tolerance=0.0, scattering=[scattering, None],
         )
         for seed in range(4)
     ]  # fmt: skip

@@ -95,7 +95,7 @@ def test_bounces_between_a_ball_that_scatters_and_a_bowl():
     block = bounce_block(
         surface, [direct[:split], direct[split:]], factorisations=[factorise(ONE)] * 2,
         albedo=Albedo.of_parts(scene, [TINT, np.full(3, 0.7)], [None, None]), n_channels=3,
-        n_rays=256, seed=3, max_bounces=12, tolerance=0.0,
+        n_rays=[256] * 2, seed=3, max_bounces=12, tolerance=0.0,
         scattering=[PartScattering(scene.part(0), MEDIUM), None],
     )  # fmt: skip
     expected = np.concatenate([block.added[0], block.added[1] + direct[split:, None]])[:, :, 0, 0]

@@ -59,8 +59,10 @@ class BakeSettings(Wire):
 
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
     Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
-    squared-error ratio in radiance norm) or ``max_bounces`` are done.  Parts with a medium whose
-    scattering moves no more than ``subsurface_tolerance`` of their light reflect it where it falls.
+    squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
+    forced on, planning takes fewer rays where it predicts their noise to stay below half of the
+    tolerance.  Parts with a medium whose scattering moves no more than ``subsurface_tolerance`` of
+    their light reflect it where it falls.
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
@@ -76,11 +78,11 @@ class BakeSettings(Wire):
     term_energy_lost: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     """Share of the BRDF's energy that its K terms may lose."""
     bounce_rays: Annotated[int, Field(ge=1, le=4096)] = 64
-    """Rays a vertex that look for bounced light."""
+    """Rays a vertex that look for bounced light, at most."""
     max_bounces: Annotated[int, Field(ge=1, le=64)] = 6
     """The last of them, whatever it adds."""
     bounce_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
-    """A bounce that adds less than this is the last: squared, relative."""
+    """Squared, relative: a bounce that adds less is the last, an effect that costs less is left."""
     subsurface_tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = 1e-3
     """Scattering that moves less than this of a part's light is left out: squared, relative."""
     frame_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None

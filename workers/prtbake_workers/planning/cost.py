@@ -150,7 +150,7 @@ def bounce_seconds(
     part_terms: Sequence[int],
     *,
     bounces: int,
-    n_rays: int,
+    n_rays: Sequence[int],
     hit_share: float,
     n_channels: int,
     n_coeffs: int,
@@ -159,11 +159,11 @@ def bounce_seconds(
     """Predict the seconds of all bounces: rays once a block, sparse and dense products a bounce."""
     verts = np.array([stop - start for start, stop in scene.part_ranges])
     terms = np.array(part_terms)
-    rays = float(verts.sum()) * n_rays
+    rays = float(verts @ np.array(n_rays))
     # every hit reads three corners of a part whose terms are taken to be the mean ones
     mean_terms = float(verts @ terms) / float(verts.sum())
     sparse = 2.0 * hit_share * rays * 3.0 * mean_terms * n_coeffs / SPARSE_FLOPS_PER_SECOND
-    dense = 2.0 * float(verts @ terms) * n_rays * n_coeffs / FLOPS_PER_SECOND
+    dense = 2.0 * float((verts * terms) @ np.array(n_rays)) * n_coeffs / FLOPS_PER_SECOND
     traced = n_blocks * (CHILD_START_S + rays / BOUNCE_RAYS_PER_SECOND)
     return traced + n_channels * bounces * (sparse + dense)
 

@@ -15,10 +15,14 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
-from prtbake_workers.geometry.mesh import Mesh, face_area_vectors
+from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.geometry.topology import count_components, find_edges
+from prtbake_workers.planning.convexity import (
+    CONVEX_TOLERANCE,
+    convexity_defect,
+    scattered_shadows,
+)
 from prtbake_workers.planning.decision import Decision, settle
 from prtbake_workers.planning.grain import Grain, decide_frames
 from prtbake_workers.planning.interreflection import decide_bounces
@@ -29,32 +33,6 @@ from prtbake_workers.transport.surface import OpaqueSurface
 
 PROBE_VERTICES = 512
 PROBE_RAYS = 64
-CONVEX_TOLERANCE = 1e-6
-"""Height above a face's plane, in diagonals, that still counts as in it (float32 positions)."""
-
-
-def convexity_defect(mesh: Mesh) -> float:
-    """Measure how far faces rise above the planes of their neighbours, in bounding-box diagonals.
-
-    A closed connected surface that is convex at every edge is convex (van Heijenoort 1952), so
-    one look at each edge settles it.  Infinite for an open surface and for several pieces, which
-    can shadow each other.
-    """
-    # by position: a seam of texture coordinates or normals is no edge
-    _, welded = np.unique(mesh.positions, axis=0, return_inverse=True)
-    faces = welded.reshape(-1)[mesh.faces].astype(np.int64)
-    edges = find_edges(faces)
-    if not (edges.n_faces_at == 2).all() or count_components(faces) != 1:
-        return float("inf")
-    area_vectors = face_area_vectors(mesh.positions, mesh.faces)
-    lengths = np.linalg.norm(area_vectors, axis=1, keepdims=True)
-    normals = area_vectors / np.where(lengths > 0.0, lengths, 1.0)
-    corners = mesh.positions[mesh.faces].reshape(-1, 3)
-    # half-edge 3 f + i leaves corner i of face f; across from it lies the corner after the next
-    first, second = edges.pairs.T
-    across = second - second % 3 + (second + 2) % 3
-    height = ((corners[across] - corners[first]) * normals[first // 3]).sum(axis=1)
-    return max(0.0, float(height.max())) / mesh.diagonal
 
 
 def probe_occlusion(
@@ -122,7 +100,13 @@ def decide_effects(
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
         _self_shadowing(
-            meshes[0], scene, factorisations[0], watertight, requested.self_shadowing, seed
+            meshes[0],
+            scene,
+            factorisations[0],
+            watertight,
+            requested.self_shadowing,
+            seed,
+            bake.bounce_tolerance,
         ),
         _receiver_shadows(scene, accelerator, factorisations, requested.receiver_shadows, seed),
         _view_dependence(factorisations, requested.view_dependence),
@@ -147,17 +131,22 @@ def _self_shadowing(
     watertight: bool,
     switch: Switch,
     seed: int,
+    tolerance: float,
 ) -> Decision:
     defect = convexity_defect(mesh)
     own = Accelerator(mesh.positions, mesh.faces)
     ratio, share, rays = probe_occlusion(scene, own, 0, factorisation, seed=seed)
     convex = watertight and defect <= CONVEX_TOLERANCE and share == 0.0
-    taken, forced = settle(switch, not convex)
-    reason = (
-        "a closed convex mesh cannot shadow itself: no ray is needed"
-        if convex
-        else f"the mesh is not closed and convex; {100 * share:.1f} % of probe rays are blocked"
-    )
+    # a probe can miss shadows that are deep where they fall; this bound holds at every point
+    most = scattered_shadows(mesh, factorisation) if watertight and not convex else float("inf")
+    scattered = most < tolerance and ratio < tolerance
+    taken, forced = settle(switch, not (convex or scattered))
+    if convex:
+        reason = "a closed convex mesh cannot shadow itself: no ray is needed"
+    elif scattered:
+        reason = f"closed convex pieces far apart take at most {most:.1e} from each other"
+    else:
+        reason = f"the mesh is not closed and convex; {100 * share:.1f} % of probe rays are blocked"
     return Decision(
         effect="self_shadowing",
         taken=taken,
@@ -168,8 +157,10 @@ def _self_shadowing(
             "watertight": watertight,
             "probe_rays": rays,
             "blocked_share": share,
+            "scattered_bound": most if np.isfinite(most) else None,
+            "tolerance": tolerance,
         },
-        predicted_error_otherwise=ratio if taken or forced else 0.0,
+        predicted_error_otherwise=0.0 if convex and not forced else ratio,
     )
 
 

@@ -2,11 +2,12 @@
 
 A sparse probe of rays follows one bounce to where its light comes from.  With T0 the direct
 transfer and T1 that of the first bounce, ``sum |T1|^2 / sum |T0|^2`` is the squared-error ratio of
-leaving it out; later bounces are taken to go on as a geometric series.
+leaving it out; later bounces are taken to go on as the first, from part to part.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,12 @@ RAYS = 64
 """From every probed vertex, in two halves: their product is free of the noise of either."""
 
 RAYS_AT_HIT = 8
+PROBE_MARGIN = 1.5
+"""An effect is left where it is predicted to cost so many times less than the tolerance."""
+
+MOST_AMPLITUDE = 0.99
+"""Of a bounce, over the bounce before it, for which their series is summed."""
+
 ORDER = 5
 """Of the spherical harmonics that the bounced transfer is held in: it is smooth."""
 
@@ -37,19 +44,34 @@ class BounceProbe:
 
     ``share`` is its squared norm over that of the direct transfer, ``chroma`` that of what one
     channel in place of three would miss of it, ``hit_share`` the share of rays that meet the front
-    of a surface.
+    of a surface, ``variance`` the squared error of gathering it with one ray a vertex, over the
+    direct transfer's squared norm; ``sent`` are the shares of what each part sends by itself.
     """
 
     share: float
+    sent: tuple[float, ...]
     chroma: float
     hit_share: float
+    variance: float
     n_rays: int
 
 
-def all_bounces(share: float) -> float:
-    """Continue the first bounce's share: amplitudes fall by its square root at every bounce."""
-    ratio = float(np.sqrt(max(share, 0.0)))
-    return max(share, 0.0) / (1.0 - ratio) ** 2 if ratio < 0.99 else 1e4 * share
+def all_bounces(probes: Sequence[BounceProbe]) -> Float64[F64, " parts"]:
+    """Continue the first bounce's shares: x = a + W x for amplitudes.
+
+    ``a`` are the square roots of the shares; what part j sends makes up its portion of a_i, and
+    grows with x_j: W_ij.
+    """
+    first = np.sqrt([probe.share for probe in probes])
+    portions = np.sqrt([probe.sent for probe in probes])
+    sums = portions.sum(axis=1, keepdims=True)
+    onwards = first[:, None] * np.divide(
+        portions, sums, out=np.zeros_like(portions), where=sums > 0.0
+    )
+    if np.abs(np.linalg.eigvals(onwards)).max() >= MOST_AMPLITUDE:
+        # hardly any light gets out
+        return np.asarray(1e4 * first**2)
+    return np.asarray(np.linalg.solve(np.eye(len(first)) - onwards, first) ** 2)
 
 
 def probe_bounce(
@@ -79,26 +101,39 @@ def probe_bounce(
     direct = 3.0 * np.pi * float(((psi**2).sum(axis=1) * local.reshape(-1, 3)[:, 2])[free].sum())
     front = np.flatnonzero(hits.front)
     rays, triangles = hits.rays[front], hits.triangles[front]
-    hit_share = len(front) / len(world)
+    hit_share, n_parts = len(front) / len(world), len(factorisations)
     if len(front) == 0 or albedo.is_black or direct == 0.0:
-        return BounceProbe(0.0, 0.0, hit_share, len(world))
-    sent = _sent(
-        surface, triangles, hits.barycentrics[front], -world[rays].astype(np.float64),
-        factorisations, albedo, rng,
+        return BounceProbe(0.0, (0.0,) * n_parts, 0.0, hit_share, 0.0, len(world))
+    # twice, from rays of their own: the product is free of the noise of either
+    sent, again = (
+        _sent(
+            surface, triangles, hits.barycentrics[front], -world[rays].astype(np.float64),
+            factorisations, albedo, rng,
+        )
+        for _ in range(2)
     )  # fmt: skip
-    # (halves, vertices, terms, channels x coefficients)
-    bounced = np.zeros((2, count, psi.shape[1], 3 * ORDER**2))
-    half, vertex = rays % 2, rays // RAYS
-    np.add.at(bounced, (half, vertex), psi[rays][:, :, None] * sent.reshape(len(rays), 1, -1))
-    bounced *= np.pi / (RAYS / 2)
-    # the direct energy was summed over rays, the bounced one over vertices
-    bounced = bounced.reshape(2, count, -1, 3, ORDER**2)
+    # (halves, vertices, terms, channels, coefficients)
+    bounced = np.zeros((2, count, psi.shape[1], 3, ORDER**2))
+    shares = []
+    for sender in range(n_parts):
+        own = np.flatnonzero(scene.part_of_face[triangles] == sender)
+        alone = np.zeros_like(bounced)
+        at = rays[own]
+        np.add.at(alone, (at % 2, at // RAYS), psi[at][:, :, None, None] * sent[own][:, None])
+        alone *= np.pi / (RAYS / 2)
+        # the direct energy was summed over rays, the bounced one over vertices
+        shares.append(max(0.0, float((alone[0] * alone[1]).sum()) * RAYS / direct))
+        bounced += alone
     share = float((bounced[0] * bounced[1]).sum()) * RAYS / direct
     chroma = 0.0
     if max(albedo.n_channels, *(own.n_channels for own in factorisations)) > 1:
         beside = bounced - bounced.mean(axis=3, keepdims=True)
         chroma = float((beside[0] * beside[1]).sum()) * RAYS / direct
-    return BounceProbe(max(share, 0.0), max(chroma, 0.0), hit_share, len(world))
+    single = (psi[rays] ** 2).sum(axis=1) @ (sent * again).sum(axis=(1, 2))
+    variance = np.pi**2 * float(single) / direct - share
+    return BounceProbe(
+        max(share, 0.0), tuple(shares), max(chroma, 0.0), hit_share, max(variance, 0.0), len(world)
+    )
 
 
 def _sent(
@@ -154,22 +189,24 @@ def decide_bounces(
 ) -> list[Decision]:
     """Decide on interreflection and on channels of its own for each colour.
 
-    Taken where leaving it out would cost more than ``bake.bounce_tolerance`` on some part.
+    Taken where leaving it out may cost more than ``bake.bounce_tolerance`` on some part.
     """
     probes = [
         probe_bounce(surface, part, factorisations, albedo, seed=seed + part)
         for part in range(len(scene.part_ranges))
     ]
-    share = max(all_bounces(probe.share) for probe in probes)
+    bounced = all_bounces(probes).tolist()
+    share = max(bounced)
     chroma = max(
-        all_bounces(probe.share) * probe.chroma / probe.share if probe.share else 0.0
-        for probe in probes
+        every * probe.chroma / probe.share if probe.share else 0.0
+        for every, probe in zip(bounced, probes, strict=True)
     )
     hit_share = max(probe.hit_share for probe in probes)
     evidence = {
         "probe_rays": sum(probe.n_rays for probe in probes),
         "hit_share": hit_share,
         "first_bounce_share": max(probe.share for probe in probes),
+        "variances": [probe.variance for probe in probes],
         "tolerance": bake.bounce_tolerance,
     }
     bounces = _decision(
@@ -218,9 +255,9 @@ def _decision(
     error: float,
     tolerance: float,
     reason: str,
-    evidence: Mapping[str, float | int],
+    evidence: Mapping[str, Any],
 ) -> Decision:
-    taken, forced = settle(switch, error > tolerance)
+    taken, forced = settle(switch, PROBE_MARGIN * error > tolerance)
     return Decision(
         effect=effect,
         taken=taken,

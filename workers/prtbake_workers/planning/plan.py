@@ -12,6 +12,7 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.bounce_rays import bounce_rays
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     ORIENTED_SECONDS,
@@ -63,13 +64,14 @@ class BouncePlan:
     """How light that surfaces send to each other, and that scatters inside them, is simulated.
 
     ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
-    has bounces of its own, as ``coloured`` says, or a medium has colours.  Parts in ``scattering``
-    scatter light inside; ``max_bounces`` is 0 where that is all there is.
+    has bounces of its own, as ``coloured`` says, or a medium has colours; ``n_rays`` are those of a
+    vertex, part by part.  Parts in ``scattering`` scatter light inside; ``max_bounces`` is 0 where
+    that is all there is.
     """
 
     n_channels: int
     coloured: bool
-    n_rays: int
+    n_rays: tuple[int, ...]
     max_bounces: int
     tolerance: float
     scattering: tuple[int, ...]
@@ -150,10 +152,11 @@ def plan_bounces(
 
     ``media`` are those of the parts that scatter.
     """
-    taken = {decision.effect: decision.taken for decision in effects}
-    if not (taken["interreflection"] or media):
+    by_name = {decision.effect: decision for decision in effects}
+    bounced = by_name["interreflection"].taken
+    if not (bounced or media):
         return None
-    coloured = taken["colour_bleeding"]
+    coloured = by_name["colour_bleeding"].taken
     n_channels = 3 if coloured else max((own.n_channels for own in media.values()), default=1)
     rows = sum(
         (stop - start) * n_terms
@@ -165,8 +168,8 @@ def plan_bounces(
     return BouncePlan(
         n_channels=n_channels,
         coloured=coloured,
-        n_rays=bake.bounce_rays,
-        max_bounces=bake.max_bounces if taken["interreflection"] else 0,
+        n_rays=bounce_rays(by_name["interreflection"], bake),
+        max_bounces=bake.max_bounces if bounced else 0,
         tolerance=bake.bounce_tolerance,
         scattering=tuple(sorted(media)),
         blocks=tuple(pairwise(edges)),

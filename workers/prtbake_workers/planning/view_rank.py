@@ -36,7 +36,7 @@ def view_rank(
         Vertices of the part.
     """
     energy = singular_values**2
-    left = 1.0 - np.cumsum(energy) / energy.sum()
-    needed = int(np.argmax(left <= energy_lost)) + 1
+    left = energy.sum() - np.cumsum(energy)
+    needed = int(np.argmax(left <= energy_lost * energy.sum())) + 1
     affordable = MOST_VIEW_BYTES // max(1, vertex_bytes * n_verts)
     return max(least, min(needed, affordable))

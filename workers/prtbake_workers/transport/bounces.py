@@ -75,7 +75,7 @@ def bounce_block(
     factorisations: Sequence[Factorisation],
     albedo: Albedo,
     n_channels: int,
-    n_rays: int,
+    n_rays: Sequence[int],
     seed: int,
     max_bounces: int,
     tolerance: float,
@@ -90,8 +90,10 @@ def bounce_block(
         All parts.
     direct
         T0 of every part, (verts, terms, coeffs), whitened, the same for all channels.
-    factorisations, albedo, n_channels, n_rays, seed
+    factorisations, albedo, n_channels, seed
         As `BounceGather` takes them.
+    n_rays
+        Of each vertex, a number a part.
     max_bounces
         At most so many.  None, which leaves the scattering of direct light, traces no ray.
     tolerance
@@ -133,11 +135,10 @@ def bounce_block(
         factorisations=factorisations,
         albedo=albedo,
         n_channels=n_channels,
-        n_rays=n_rays,
     )
     gathers = [
-        gather_to(part, np.arange(start, stop), seed=seed)
-        for part, (start, stop) in enumerate(scene.part_ranges)
+        gather_to(part, np.arange(start, stop), n_rays=rays, seed=seed)
+        for part, ((start, stop), rays) in enumerate(zip(scene.part_ranges, n_rays, strict=True))
         if max_bounces
     ]
     media = list(scattering) or [None] * len(direct)
@@ -146,7 +147,7 @@ def bounce_block(
     direct_energy = total = _energy(scene, sent)
     noise = np.zeros(len(direct))
     if max_bounces:
-        noise = _noise(scene, sent, gather_to, media, seed)
+        noise = _noise(scene, sent, gather_to, media, n_rays, seed)
     energies: list[F64] = []
     while len(energies) < max_bounces and total.any():
         sent = _leaving(media, [gather.apply(sent) for gather in gathers])
@@ -249,6 +250,7 @@ def _noise(
     sent: Sequence[F32],
     gather_to: Callable[..., BounceGather],
     media: Sequence[PartScattering | None],
+    n_rays: Sequence[int],
     seed: int,
 ) -> Float64[F64, " parts"]:
     """Estimate the squared error of one bounce: half the squared difference of two draws."""
@@ -261,7 +263,10 @@ def _noise(
         chosen: Int64[I64, " verts"] = np.sort(
             start + rng.choice(stop - start, NOISE_VERTICES, p=areas / areas.sum())
         )
-        first, second = (gather_to(part, chosen, seed=own).apply(sent) for own in (seed, seed + 1))
+        first, second = (
+            gather_to(part, chosen, n_rays=n_rays[part], seed=own).apply(sent)
+            for own in (seed, seed + 1)
+        )
         difference = _norms(first - second) ** 2
         if (medium := media[part]) is not None:
             difference *= medium.albedo(difference.shape[1]) ** 2
