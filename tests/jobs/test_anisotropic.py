@@ -125,7 +125,7 @@ def test_slopes_that_hardly_differ_give_the_picture_of_equal_ones(store):
 def test_a_whole_job_of_a_brushed_ball_and_plane(store):
     request = request_of(ALONG, tangents=[0.0, 0.0, 1.0])
     request["receiver"] = {"resolution": 6, "brdf": ACROSS}
-    request["settings"]["validation"] |= {"passes": 2, "samples": 32, "paths": 8}
+    request["settings"]["validation"] |= {"passes": 2, "samples": 32}
     mesh = {"builtin": {"name": "icosphere", "tessellation": 2}}
     context = context_of(store, request, mesh, SKY)
     results = run_asset(store, request, context)
