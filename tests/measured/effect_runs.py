@@ -6,7 +6,7 @@ norm, area-weighted, of the part that loses most.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,12 @@ from support.local_stages import registered, run_stage
 
 LAST = "join"
 VERTICES_AT_ONCE = 4096
+
+TOLERANCES: dict[str, Callable[[BakeSettings], float | None]] = {
+    "view_dependence": lambda bake: bake.term_energy_lost,
+    "subsurface_scattering": lambda bake: bake.subsurface_tolerance,
+}
+"""Of effects that are not held against ``bounce_tolerance``."""
 
 Switches = Mapping[str, str]
 
@@ -110,7 +116,9 @@ def squared_error(of: Path, reference: Path) -> float:
 
     ``sum_v area |T - R|^2 / sum_v area |R|^2`` over whitened coefficients; terms are orthonormal,
     and one that a transfer lacks is zero there.  One channel stands for three where only one of
-    the two has three.  1 where the reference is black and the other is not.
+    the two has three.  The albedo that is kept beside transfer counts where the two differ in it,
+    as where a medium scatters or is taken as a surface.  1 where the reference is black and the
+    other is not.
     """
     if of == reference:
         return 0.0
@@ -120,11 +128,14 @@ def squared_error(of: Path, reference: Path) -> float:
             zip(ours.header.parts, theirs.header.parts, strict=True)
         ):
             difference = norm = 0.0
+            tint = [np.ones(1), np.ones(1)]
+            if not np.array_equal(own.albedo, other.albedo):
+                tint = [own.albedo, other.albedo]
             for start in range(0, own.n_vertices, VERTICES_AT_ONCE):
                 areas = own.areas[start : start + VERTICES_AT_ONCE]
                 stop = start + len(areas)
-                a = _rows(ours.read(index, start, stop), own.n_channels)
-                b = _rows(theirs.read(index, start, stop), other.n_channels)
+                a = _rows(ours.read(index, start, stop), own.n_channels, tint[0])
+                b = _rows(theirs.read(index, start, stop), other.n_channels, tint[1])
                 terms = max(a.shape[2], b.shape[2])
                 a, b = (_padded(rows, terms) for rows in (a, b))
                 # broadcasting repeats one channel beside three
@@ -136,9 +147,10 @@ def squared_error(of: Path, reference: Path) -> float:
     return most
 
 
-def _rows(values: Any, n_channels: int) -> Any:
+def _rows(values: Any, n_channels: int, tint: Any) -> Any:
     """Shape (verts, channels, terms, coeffs)."""
-    return values.reshape(len(values), n_channels, -1, values.shape[2])
+    rows = values.reshape(len(values), n_channels, -1, values.shape[2])
+    return rows * np.asarray(tint, np.float32)[:, None, None]
 
 
 def _padded(rows: Any, terms: int) -> Any:
@@ -193,9 +205,7 @@ def _effect(
         vertices=n_vertices,
         decided="taken" if decision["taken"] else "left",
         predicted=decision["predicted_error_otherwise"],
-        tolerance=settings.term_energy_lost
-        if name == "view_dependence"
-        else settings.bounce_tolerance,
+        tolerance=TOLERANCES.get(name, lambda bake: bake.bounce_tolerance)(settings),
         seconds_decided=decided.seconds,
         error_decided=squared_error(decided.transfer, whole.transfer),
     )

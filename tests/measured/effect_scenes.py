@@ -94,9 +94,9 @@ def box_texture(_data: Path) -> bytes:
 
 
 PLANE = {"resolution": 64, "albedo": 0.7}
-GLOSSY = {"model": "ggx", "kd": 0.3, "ks": 0.6, "alpha": 0.4, "f0": 0.2}
+GLOSSY = {"model": "ggx", "kd": 0.3, "ks": 0.6, "alpha": 0.45, "f0": 0.2}
 BRUSHED = {"model": "ward", "kd": 0.2, "ks": 0.5, "alpha_x": 0.4, "alpha_y": 0.15}
-METAL = {"model": "ggx", "ks": 1.0, "alpha": 0.4, "f0": [0.9, 0.6, 0.3]}
+METAL = {"model": "ggx", "kd": 0.1, "ks": 1.0, "alpha": 0.6, "f0": [0.9, 0.6, 0.3]}
 WAX = {
     "mm_per_unit": 1.0,
     "scattering": [1.6, 1.5, 1.3],

@@ -41,7 +41,8 @@ How to read the tables:
   each colour, the other's one channel stands for all three, and channels are averaged.
 - **measured** is what an effect changes by itself: the bake without it against the bake with it, all else as
   decided. **predicted** is what planning said of that before the first ray of the bake; **tolerance** is
-  what it was held against: `bounce_tolerance`, for the view `term_energy_lost`.
+  what it was held against: `bounce_tolerance`, for the view `term_energy_lost`, for light that scatters
+  inside `subsurface_tolerance`.
 - **verdict**: *needed* is taken and costs more than the tolerance when left; *rightly left* is left and
   costs less; *taken, little* is taken and would cost less. Shadows are of that kind by intention: a
   sparse probe may miss a dark corner, so they are left out only where a proof says that they are small.
