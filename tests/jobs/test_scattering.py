@@ -129,7 +129,7 @@ def test_a_white_medium_with_a_path_far_beyond_the_object_is_handled(store):
     vast = {"scattering": 1.0, "absorption": 0.0, "mm_per_unit": 1e-6}
     results = joined(store, subsurface=vast, effects=ALONE)
     assert decision_of(results)["taken"]
-    header, found = stored(store, results)
+    _, found = stored(store, results)
     assert all(np.isfinite(one).all() for one in found)
     largest = np.abs(found[0]).max()
     assert 0.0 < largest < 1e-9
