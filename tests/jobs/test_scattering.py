@@ -124,6 +124,19 @@ def test_a_path_far_below_the_sampling_distance_is_left(store):
     assert all(np.isfinite(one).all() for one in stored(store, on)[1])
 
 
+def test_a_white_medium_with_a_path_far_beyond_the_object_is_handled(store):
+    """Light gets lost in the half-space that the dipole stands for: little comes back, evenly."""
+    vast = {"scattering": 1.0, "absorption": 0.0, "mm_per_unit": 1e-6}
+    results = joined(store, subsurface=vast, effects=ALONE)
+    assert decision_of(results)["taken"]
+    _, found = stored(store, results)
+    assert all(np.isfinite(one).all() for one in found)
+    largest = np.abs(found[0]).max()
+    assert 0.0 < largest < 1e-9
+    # every vertex gives back the same
+    assert np.ptp(found[0], axis=0).max() < 1e-3 * largest
+
+
 def test_bounces_meet_the_scattered_light(store, scattered):
     """Both effects: the plane gets light in the medium's colours, tinted by what the object is."""
     effects = {"interreflection": "on", "colour_bleeding": "on"}

@@ -156,13 +156,13 @@ def test_one_channel_of_a_medium_serves_three(surface, direct):
 
 def test_the_measured_error_is_that_of_the_rows(surface, scattering, direct):
     transfer = direct[0][:, 0]
-    said = scattering.measured_error(transfer, seed=1)
+    said = np.mean([scattering.measured_error(transfer, seed=[1, block]) for block in range(4)])
     exact = np.einsum("cpq,qk->cpk", dense(surface.scene.part(0), MEDIUM), transfer)
     ours = scattering.apply(np.repeat(direct[0][:, None], 3, axis=1))[:, :, 0].transpose(1, 0, 2)
     true = float(((ours - exact) ** 2).sum() / (exact**2).sum())
-    # a handful of vertices stands for all
+    # a dozen vertices stand for all
     assert 0.2 * true < said < 5.0 * true
-    assert 1e-9 < said < 1e-5
+    assert 1e-9 < said < 1e-4
 
 
 def test_what_cannot_be_scattered_is_refused(surface, scattering, direct):

@@ -144,7 +144,8 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             None
             if own is None
             else {
-                "error": energy * own.measured_error(direct[part][:, 0], seed=seed),
+                # at other vertices in every block
+                "error": energy * own.measured_error(direct[part][:, 0], seed=[seed, start]),
                 **own.report.to_dict(),
             }
             for part, (own, energy) in enumerate(

@@ -1,6 +1,6 @@
 """Subsurface scattering of one part, again and again: rows of the operator are built once and kept.
 
-To build a row takes as long as to multiply it with a thousand coefficients, and every bounce asks
+To build a row takes as long as to multiply it with hundreds of coefficients, and every bounce asks
 for all of them.
 """
 
@@ -29,8 +29,9 @@ KEPT_BYTES = 512 << 20
 COLUMNS_PER_PASS = 128
 """Coefficients scattered at a time: their means over clusters take four times their own memory."""
 
-MEASURED_ROWS = 8
-"""Vertices at which every triangle is integrated, to tell what clusters and cut cost."""
+MEASURED_ROWS = 3
+"""Vertices at which every triangle is integrated, to tell what clusters and cut cost: each takes as
+long as a thousand rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +54,7 @@ class PartScattering:
     dipole
         Of its medium, in units of the scene.
     scratch
-        Folder for rows beyond `KEPT_BYTES`, some 6 kB a vertex with three channels; they stay
+        Folder for rows beyond `KEPT_BYTES`, 5 to 10 kB a vertex with three channels; they stay
         in memory where it is None.
     """
 
@@ -121,7 +122,7 @@ class PartScattering:
         """Give F R of the medium in the channels of the transfer."""
         return np.broadcast_to(self.dipole.diffuse_albedo, n_channels)
 
-    def measured_error(self, transfer: Float32[F32, "verts coeffs"], *, seed: int) -> float:
+    def measured_error(self, transfer: Float32[F32, "verts coeffs"], *, seed: list[int]) -> float:
         """Measure what clusters and cut cost at `MEASURED_ROWS` vertices, a squared-error ratio."""
         areas = np.maximum(self.scene.areas, 0.0)
         if not areas.any():
