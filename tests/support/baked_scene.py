@@ -5,10 +5,11 @@ bits, one channel of direct light; bounces are linear in it and are made of what
 hundred thousand values a vertex need not bounce, nor be kept, to be lit once.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
 
 from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.asset import Asset, LightFit, Part
@@ -37,12 +38,13 @@ SEED = 3
 
 @dataclass(frozen=True, eq=False)
 class BakedScene:
-    """Scene and materials, and the rounded direct transfer of every part, in tiles."""
+    """Scene, materials and basis, and the rounded direct transfer of every part, in tiles."""
 
     scene: Scene
     brdfs: list[Any]
     factorisations: list[Any]
     direct: list[list[Any]]
+    basis: Any
     settings: Any
 
     def relight(self, light, *, bounces=True):
@@ -94,7 +96,7 @@ def baked(meshes, brdfs, settings):
         ]
         for (start, stop), factorisation in zip(scene.part_ranges, factorisations, strict=True)
     ]  # fmt: skip
-    return BakedScene(scene, brdfs, factorisations, direct, settings)
+    return BakedScene(scene, brdfs, factorisations, direct, basis, settings)
 
 
 def validation_of_baked(own, environment, n_lobes, *, bounces=True):
@@ -104,7 +106,6 @@ def validation_of_baked(own, environment, n_lobes, *, bounces=True):
     textures = [
         None if one.is_constant_phi else fit_view_texture(one).values for one in own.factorisations
     ]
-    basis = make_basis(own.settings.model_dump())
     lit: dict[bytes, Any] = {}
 
     def relight_stored(part, vertices, light):
@@ -123,12 +124,12 @@ def validation_of_baked(own, environment, n_lobes, *, bounces=True):
                 own.brdfs, own.factorisations, textures, strict=True
             )
         ),
-        basis=basis,
+        basis=own.basis,
         directions=cube_directions(own.settings.cube_resolution),
         supersample=own.settings.supersample,
         relight_stored=relight_stored,
         exact=None,
-        delivered=_surfaces(scene, own.factorisations, textures, basis),
+        delivered=_surfaces(scene, own.factorisations, textures, own.basis),
         environment=environment,
         light=LightFit(
             centres=fit.centres, bandwidths=fit.bandwidths, coefficients=fit.coefficients
@@ -137,23 +138,59 @@ def validation_of_baked(own, environment, n_lobes, *, bounces=True):
     )  # fmt: skip
 
 
-def pixel_chain(validation, view, per_side, settings: ValidateSettings):
-    """Render the chain on ``per_side`` x ``per_side`` points of every pixel, and average them.
+def pixel_chain(validation, view, per_side, settings: ValidateSettings, *, n_points=None):
+    """Render the chain at points of every pixel, and average them.
+
+    What shows the scene of a pixel is found on ``per_side`` x ``per_side`` points; ``n_points`` of
+    these, evenly taken, or all of them, are shaded.
 
     Returns pictures whose passes are (passes, height x width, 3): the means over pixels that Mitsuba
-    shows, which ``per_side`` points approach.
+    shows, which many points approach.
     """
     size = settings.model_copy(
         update={"width": view.width * per_side, "height": view.height * per_side}
     )
-    hits = trace_camera(validation, camera_of(view), size.width, size.height)
+    fine = trace_camera(validation, camera_of(view), size.width, size.height)
+    pixels = pixel_of(fine.pixels, view, per_side)
+    chosen, weights = evenly(pixels, n_points or per_side**2)
+    hits = picked(fine, chosen, validation.scene.faces)
     (chain,) = uncompressed_chains(
         validation, hits, [np.eye(3)], size, seed=SEED, advance=lambda: None
     )
+    at = coo_array(
+        (weights / per_side**2, (pixels[chosen], np.arange(len(chosen)))),
+        shape=(view.height * view.width, len(chosen)),
+    ).tocsr()
     return tuple(
-        ChainPicture(one.name, over_pixels(one.passes, hits.pixels, view, per_side))
-        for one in chain
+        ChainPicture(one.name, np.stack([at @ each for each in one.passes])) for one in chain
     )
+
+
+def pixel_of(points, view, per_side):
+    """Tell the pixel of points that are numbered row by row of the finer picture."""
+    row, column = np.divmod(points, view.width * per_side)
+    return row // per_side * view.width + column // per_side
+
+
+def evenly(pixels, n_points):
+    """Choose at most so many of every pixel's points, and what each stands for."""
+    order = np.argsort(pixels, kind="stable")
+    _, starts, counts = np.unique(pixels[order], return_index=True, return_counts=True)
+    kept = np.minimum(counts, n_points)
+    rank = np.arange(kept.sum()) - np.repeat(np.cumsum(kept) - kept, kept)
+    share = np.repeat(counts / kept, kept)
+    chosen = order[np.repeat(starts, kept) + ((rank + 0.5) * share).astype(np.int64)]
+    return chosen, share
+
+
+def picked(hits, chosen, faces):
+    """Keep some of the hits, and the vertices behind them."""
+    return replace(
+        hits, pixels=hits.pixels[chosen], triangles=hits.triangles[chosen],
+        barycentrics=hits.barycentrics[chosen], parts=hits.parts[chosen],
+        points=hits.points.block(chosen), frames=hits.frames[chosen], wo=hits.wo[chosen],
+        vertices=np.unique(faces[hits.triangles[chosen]]).astype(np.int64),
+    )  # fmt: skip
 
 
 def camera_of(view):
@@ -207,10 +244,3 @@ def _surfaces(scene, factorisations, textures, basis):
         normals=scene.normals.astype(np.float32), uv=None, parts=tuple(parts),
         centres=basis.centres, bandwidth=basis.bandwidth,
     )  # fmt: skip
-
-
-def over_pixels(passes, pixels, view, per_side):
-    full = np.zeros((len(passes), view.height * view.width * per_side**2, 3))
-    full[:, pixels] = passes
-    cells = full.reshape(len(passes), view.height, per_side, view.width, per_side, 3)
-    return cells.mean(axis=(2, 4)).reshape(len(passes), -1, 3)

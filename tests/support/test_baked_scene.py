@@ -9,7 +9,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.jobs.inputs import load_brdf
 from prtbake_workers.jobs.validate import relight_vertices
-from support.baked_scene import SEED, baked, finer, over_pixels
+from support.baked_scene import SEED, baked, evenly, finer, pixel_of
 from support.bounce_scenes import ball
 from support.mitsuba_scenes import View
 from support.scenes import asset_request, context_of, relative_difference, run_until
@@ -82,14 +82,24 @@ def test_finer_triangles_cover_the_same_surface(rounds):
     assert ((towards * cut.normals).sum(axis=1) > 0.999).all()
 
 
-def test_pixels_are_the_means_of_their_points():
+def test_points_are_those_of_their_pixels():
     view = View((0, 0, 1), (0, 0, 0), 40.0, width=3, height=2)
-    fine = np.arange(4 * 6, dtype=np.float64)
-    # the last point shows nothing
-    passes = np.repeat(fine[None, :-1, None], 3, axis=2)
-    found = over_pixels(passes, np.arange(23), view, 2)[0, :, 0]
-    grid = np.append(fine[:-1], 0.0).reshape(4, 6)
-    expected = [
-        grid[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].mean() for i in range(2) for j in range(3)
-    ]
-    np.testing.assert_allclose(found, expected)
+    expected = [[0, 0, 1, 1, 2, 2]] * 2 + [[3, 3, 4, 4, 5, 5]] * 2
+    assert pixel_of(np.arange(24), view, 2).tolist() == np.ravel(expected).tolist()
+
+
+def test_points_chosen_evenly_stand_for_all(rng):
+    pixels = rng.integers(0, 5, 400)
+    chosen, weights = evenly(pixels, 7)
+    assert len(np.unique(chosen)) == len(chosen)
+    np.testing.assert_array_equal(np.bincount(pixels[chosen]), 7)
+    np.testing.assert_allclose(np.bincount(pixels[chosen], weights), np.bincount(pixels))
+    # spread over each pixel's points: a seventh of them apart
+    for pixel in range(5):
+        places = np.searchsorted(
+            np.flatnonzero(pixels == pixel), np.sort(chosen[pixels[chosen] == pixel])
+        )
+        assert np.diff(places).max() - np.diff(places).min() <= 1
+    every, ones = evenly(pixels, 1000)
+    np.testing.assert_array_equal(np.sort(every), np.arange(400))
+    assert (ones == 1.0).all()

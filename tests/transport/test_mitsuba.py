@@ -91,7 +91,7 @@ def test_the_budget_explains_the_baked_result(data_dir, overcast):
     from support.mitsuba_render import by_mitsuba
 
     meshes, brdfs, view = suzanne_in_a_box(data_dir)
-    theirs, _ = by_mitsuba(meshes, brdfs, overcast, view, 3, n_paths=4096, n_parts=8)
+    theirs, _ = by_mitsuba(meshes, brdfs, overcast, view, 3, n_paths=4608, n_parts=8)
     settings = BakeSettings(n_centres=162, cube_resolution=16, max_bounces=3, bounce_tolerance=0.0)
     scene = baked(meshes, brdfs, settings)
     sampling = ValidateSettings(passes=8, samples=128, bounces=3, bounce_samples=16)
