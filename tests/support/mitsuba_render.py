@@ -4,21 +4,16 @@ Both are one-sided: a surface is black from behind.  Both pictures are means ove
 (box filter), and both come in independent parts that give their variance.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
-
 import mitsuba as mi
 import numpy as np
 
-from prtbake_workers.brdf.base import above_horizon, clamped_cosines, half_vector
-from prtbake_workers.brdf.ggx import smith_g1, trowbridge_reitz
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.render.metrics import REL_MSE_FLOOR, rel_mse
 from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import trace_paths
+from support.agreement import Picture
 from support.bounce_scenes import opaque
 
 mi.set_variant("scalar_rgb")
@@ -28,80 +23,6 @@ FINER = 16
 
 N_PARTS = 4
 """Independent pictures that each picture is the mean of."""
-
-
-@dataclass(frozen=True, eq=False)
-class DiffuseAndMetal:
-    """``kd / pi + ks D G1 G1 / (4 cos cos)``: Mitsuba's blend of diffuse and a perfect conductor."""
-
-    kd: Any
-    ks: float
-    alpha: float
-
-    @property
-    def n_channels(self):
-        return len(self.kd)
-
-    def eval_brdf(self, wi, wo):
-        half = half_vector(wi, wo)
-        cos_i, cos_o = clamped_cosines(wi, wo)
-        shadows = smith_g1(cos_i, self.alpha) * smith_g1(cos_o, self.alpha)
-        lobe = trowbridge_reitz(half.cos_h, half.sin2_h, self.alpha) * shadows
-        value = self.kd / np.pi + (self.ks * lobe / (4.0 * cos_i * cos_o))[..., None]
-        return np.where(above_horizon(wi, wo)[..., None], value, 0.0)
-
-
-@dataclass(frozen=True)
-class View:
-    eye: Any
-    target: Any
-    field_of_view_deg: float
-    width: int = 32
-    height: int = 24
-
-
-@dataclass(frozen=True)
-class Picture:
-    """Mean and variance of the mean, (height, width, 3)."""
-
-    mean: Any
-    variance: Any
-
-    @classmethod
-    def of(cls, parts):
-        parts = np.asarray(parts, np.float64)
-        return cls(parts.mean(axis=0), parts.var(axis=0, ddof=1) / len(parts))
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Of one picture with another, over the pixels in which either shows anything.
-
-    ``rel_mse`` is the project's metric, ``noise`` the part of it to be expected of two pictures with
-    these variances, ``floor`` what two such pictures of the other renderer would differ by, ``ratio``
-    that of the mean radiances and ``ratio_error`` its standard error.
-    """
-
-    rel_mse: float
-    noise: float
-    floor: float
-    ratio: float
-    ratio_error: float
-
-    @classmethod
-    def between(cls, ours, theirs):
-        mask = ours.mean.any(axis=2) | theirs.mean.any(axis=2)
-        reference = theirs.mean[mask]
-        scale = reference**2 + REL_MSE_FLOOR * (reference**2).mean()
-        variance = ours.variance + theirs.variance
-        return cls(
-            rel_mse(ours.mean.astype(np.float32), theirs.mean.astype(np.float32), mask),
-            float((variance[mask] / scale).mean()),
-            float((2.0 * theirs.variance[mask] / scale).mean()),
-            float(ours.mean.sum() / theirs.mean.sum()),
-            # the channels of one path move together
-            float(np.sqrt(3.0 * variance.sum()) / theirs.mean.sum()),
-        )
 
 
 def faceted(mesh):
@@ -114,8 +35,8 @@ def faceted(mesh):
     return Mesh(positions, faces, np.repeat(normals, 3, axis=0))
 
 
-def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_paths):
-    """Render by Mitsuba's path integrator, ``n_paths`` a pixel, four times a square number.
+def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_paths, n_parts=N_PARTS):
+    """Render by Mitsuba's path integrator, ``n_paths`` a pixel, ``n_parts`` times a square number.
 
     Returns the picture and the camera's corner rays.
     """
@@ -152,10 +73,10 @@ def by_mitsuba(meshes, brdfs, light, view, n_bounces, *, n_paths):
         }
     )
     parts = [
-        np.array(mi.render(scene, spp=n_paths // N_PARTS, seed=seed))[..., :3]
-        for seed in range(N_PARTS)
+        np.array(mi.render(scene, spp=n_paths // n_parts, seed=seed))[..., :3]
+        for seed in range(n_parts)
     ]
-    return Picture.of(parts), _corner_rays(scene.sensors()[0], view)
+    return Picture(np.asarray(parts, np.float64)), _corner_rays(scene.sensors()[0], view)
 
 
 def by_paths(meshes, brdfs, light, view, n_bounces, corners, *, n_paths, per_side):
@@ -190,8 +111,8 @@ def by_paths(meshes, brdfs, light, view, n_bounces, corners, *, n_paths, per_sid
         seen = hits.rays[front]
         parts[part, seen] += found.mean / n_cells
         last[seen] += found.by_bounce[-1] / (N_PARTS * n_cells)
-    picture = Picture.of(parts.reshape(N_PARTS, *size, 3))
-    return picture, replace(picture, mean=picture.mean - last.reshape(*size, 3))
+    parts = parts.reshape(N_PARTS, *size, 3)
+    return Picture(parts), Picture(parts - last.reshape(*size, 3))
 
 
 def _bitmap(light):

@@ -17,13 +17,9 @@ from prtbake_workers.transport.interreflection import bounce_series
 from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import trace_paths
-from support.analytic_scenes import half_sky
+from support.analytic_scenes import ball_on_plane, furnace, half_sky, plates
 from support.bounce_scenes import (
     ball,
-    ball_lights_plane,
-    bowl,
-    disc,
-    discs_by_quadrature,
     opaque,
     patch,
     point_to_wall,
@@ -74,14 +70,14 @@ def traced(scene, albedos, vertices, light, n_bounces, *, n_samples=256, n_passe
 
 
 @pytest.fixture(scope="module")
-def furnace():
-    scene = Scene.from_parts([bowl(16, 64)])
+def white_bowl():
+    scene = furnace().scene
     return scene, operator(scene, Albedo.constant(1.0))
 
 
 @pytest.mark.parametrize("n_bounces", [0, 1, 2, 4, 8])
-def test_furnace_after_each_bounce(furnace, n_bounces):
-    scene, block = furnace
+def test_furnace_after_each_bounce(white_bowl, n_bounces):
+    scene, block = white_bowl
     found, _ = series(scene, block.escaped, block, n_bounces)
     expected = 1.0 - 0.5 ** (n_bounces + 1)
     mean = scene.areas @ found[0] / scene.areas.sum()
@@ -91,8 +87,8 @@ def test_furnace_after_each_bounce(furnace, n_bounces):
     assert np.abs(found[0] - expected).max() < 0.03 * 0.5**n_bounces
 
 
-def test_furnace_tends_to_one(furnace):
-    scene, block = furnace
+def test_furnace_tends_to_one(white_bowl):
+    scene, block = white_bowl
     found, report = series(scene, block.escaped, block, 60)
     # rows of F and the escaped share sum to 1 in each vertex, so 1 solves the equation exactly
     assert np.abs(found[0] - 1.0).max() < 1e-5
@@ -125,8 +121,8 @@ def test_furnace_tends_to_one(furnace):
 
 @pytest.mark.parametrize("n_bounces", [0, 1, 4])
 @pytest.mark.parametrize("albedo", [1.0, 0.6])
-def test_furnace_by_paths(furnace, n_bounces, albedo):
-    scene, _ = furnace
+def test_furnace_by_paths(white_bowl, n_bounces, albedo):
+    scene, _ = white_bowl
     inner = np.flatnonzero(scene.positions[:, 1] < -0.2)[::9]
     mean, error = traced(scene, [[albedo]], inner, constant(16), n_bounces)
     expected = albedo * 0.5 * sum((0.5 * albedo) ** k for k in range(n_bounces + 1))
@@ -155,67 +151,52 @@ def test_a_closed_mesh_seen_from_inside_is_black():
 
 @pytest.mark.parametrize("height", [0.4, 1.0])
 def test_two_plates(height):
-    scene = Scene.from_parts([disc(1.0, 0.0, 12, 48, up=True), disc(1.0, height, 12, 48, up=False)])
-    albedo, n_bounces = 0.8, 4
-    radius, expected = discs_by_quadrature(height, albedo, n_bounces)
-    at = np.linalg.norm(scene.positions[:, [0, 2]], axis=1)
-    inside = np.flatnonzero(at < 0.92)
+    n_bounces, albedo = 4, 0.8
+    case = plates(height, n_bounces)
+    scene, inside = case.scene, case.vertices
     block = operator(scene, Albedo.constant(albedo))
     for k in (0, 1, 2, n_bounces):
         found, _ = series(scene, block.escaped, block, k)
-        wrong = found[0, inside] - np.interp(at[inside], radius, expected[k])
+        wrong = found[0, inside] - case.answers[k]
         # 256 rays with a rim across them, 12 rings of linear interpolation between vertices:
         # 5.6e-3 root mean square and a bias of 1.2e-3 were measured
         assert np.sqrt((wrong**2).mean()) < 8e-3
         assert abs(wrong.mean()) < 2e-3
     # the negative twin: a bounce too few
-    assert abs(np.mean(found[0, inside] - np.interp(at[inside], radius, expected[1]))) > 0.03
-    some = inside[:: len(inside) // 40]
-    mean, error = traced(scene, [[albedo]] * 2, some, constant(16), n_bounces)
-    truth = albedo * np.interp(at[some], radius, expected[n_bounces])[:, None]
+    assert abs(np.mean(found[0, inside] - case.answers[1])) > 0.03
+    some = slice(None, None, len(inside) // 40)
+    mean, error = traced(scene, [[albedo]] * 2, inside[some], case.light, n_bounces)
+    truth = albedo * case.truth[some, None]
     # the polygon has the disc's area, not its outline: 5e-4
     assert (np.abs(mean - truth) < 7.0 * error + 5e-4).all()
-    assert abs((mean - truth).mean()) < 4.0 * np.sqrt((error**2).mean() / len(some)) + 5e-4
+    assert abs((mean - truth).mean()) < 4.0 * np.sqrt((error**2).mean() / len(mean)) + 5e-4
 
 
 # --- a ball on a plane, half a sky: the plane at offset r keeps 1 - (1 + r^2)^(-3/2) of the sky
 
 
-@pytest.fixture(scope="module")
-def ball_on_plane():
-    plane = patch([-4, 0, 4], [8, 0, 0], [0, 0, -8], 16, 16)
-    return Scene.from_parts([plane, ball(4, (0.0, 1.0, 0.0))])
-
-
-def test_ball_on_plane(ball_on_plane):
-    scene = ball_on_plane
-    (start, stop), (first, last) = scene.part_ranges
-    offset = np.linalg.norm(scene.positions[start:stop, [0, 2]], axis=1)
-    # the contact point itself lies under the ball
-    open_ = np.flatnonzero((offset > 0.4) & (offset < 4.0))
-    occluded = (1.0 + offset**2) ** -1.5
+def test_ball_on_plane():
+    case = ball_on_plane()
+    scene, answers = case.scene, case.answers
+    open_, occluded = case.vertices, 1.0 - answers[0]
     block = operator(scene, per_part(scene, [[0.0], [0.8]]), n_rays=1024)
     # 1024 rays with the ball's outline across them: 1.4e-3 root mean square was measured; the ball
     # of 2,562 vertices is 0.3 % too small, of 0.07 on average
-    wrong = 1.0 - block.escaped[open_] - occluded[open_]
+    wrong = 1.0 - block.escaped[open_] - occluded
     assert np.sqrt((wrong**2).mean()) < 2.5e-3
     assert abs(wrong.mean()) < 4e-4
-    direct = np.zeros(scene.n_vertices)
-    direct[start:stop] = 1.0 - occluded
-    direct[first:last] = 0.5 * (1.0 + scene.normals[first:last, 1])
-    found, _ = series(scene, direct, block, 1)
-    some = open_[:: len(open_) // 24]
-    bounced = [0.8 * ball_lights_plane(r, lambda up: 0.5 * (1.0 + up)) for r in offset[some]]
-    wrong = found[0, some] - direct[some] - bounced
+    found, _ = series(scene, case.direct, block, 1)
+    some = slice(None, None, len(open_) // 24)
+    wrong = found[0, open_[some]] - answers[1, some]
     # of bounces from 0.006 to 0.054
     assert np.abs(wrong).max() < 2.5e-3
     assert abs(wrong.mean()) < 4e-4
-    mean, error = traced(scene, [[0.5], [0.8]], some, half_sky(), 1)
-    truth = 0.5 * (1.0 - occluded[some] + bounced)[:, None]
+    mean, error = traced(scene, [[0.5], [0.8]], open_[some], case.light, 1)
+    truth = 0.5 * answers[1, some, None]
     assert (np.abs(mean - truth) < 7.0 * error + 5e-4).all()
-    assert abs((mean - truth).mean()) < 4.0 * np.sqrt((error**2).mean() / len(some)) + 2e-4
+    assert abs((mean - truth).mean()) < 4.0 * np.sqrt((error**2).mean() / len(mean)) + 2e-4
     # the negative twin: without the bounce the plane is darker than the tolerance allows
-    assert np.abs(mean - 0.5 * (1.0 - occluded[some, None])).max() > 0.02
+    assert np.abs(mean - 0.5 * answers[0, some, None]).max() > 0.02
 
 
 # --- a coloured wall beside a patch of floor, half a sky: the wall has 1/2 and covers F of the sky

@@ -1,22 +1,18 @@
-"""The path tracer against Mitsuba 3: same scene, light, camera, bounces and number of paths.
+"""The path tracer and baked results against Mitsuba 3: same scene, light, camera and bounces.
 
-The light is a real overcast sky, of 16 x 32 texels that both hold constant.  ``--log-cli-level=info``
-shows the figures measured.
+The path tracer takes as many paths; what is baked is compared before its compression.  The light is a
+real overcast sky, of 16 x 32 texels that all hold constant.  ``--log-cli-level=info`` shows the
+figures measured.
 """
 
 import logging
 
-import numpy as np
 import pytest
 
-from prtbake_workers.brdf.lambert import Lambert
-from prtbake_workers.environment.environment import Environment
-from prtbake_workers.environment.reading import read_environment
-from prtbake_workers.environment.resampling import box_filter
-from prtbake_workers.geometry.loading import load_mesh
-from prtbake_workers.geometry.receiver import receiver_plane
-from support import coloured_box
-from support.coloured_box import SUZANNE, WALL_COLOURS
+from prtbake_storage.contract.settings import BakeSettings, ValidateSettings
+from support.agreement import Agreement, Explained
+from support.baked_scene import baked, pixel_chain, validation_of_baked
+from support.mitsuba_scenes import bunny_on_a_plane, overcast_sky, shaderball, suzanne_in_a_box
 
 pytestmark = [pytest.mark.real_data, pytest.mark.mitsuba]
 
@@ -28,56 +24,12 @@ MOST = 1e-3
 
 @pytest.fixture(scope="module")
 def overcast(data_dir):
-    read, _ = read_environment((data_dir / "environments" / "uffizi.hdr").read_bytes())
-    return Environment(box_filter(read.radiance, 16, 32))
-
-
-def suzanne_in_a_box(data_dir, metal=0.0):
-    """Diffuse, or in part rough metal, in a box that is open at the top and in front."""
-    from support.mitsuba_render import DiffuseAndMetal, View
-
-    kd = np.array(SUZANNE)
-    own = DiffuseAndMetal((1.0 - metal) * kd, metal, 0.2) if metal else Lambert(kd)
-    brdfs = [own, *(Lambert(np.array(colour)) for colour in WALL_COLOURS)]
-    return (
-        coloured_box.suzanne_in_a_box(data_dir, 4),
-        brdfs,
-        View((0.0, 0.4, 3.4), (0.0, -0.1, 0.0), 38.0, 24, 18),
-    )
-
-
-def bunny_on_a_plane(data_dir):
-    """Diffuse and rough metal on a diffuse plane."""
-    from support.mitsuba_render import DiffuseAndMetal, View
-
-    mesh, _ = load_mesh((data_dir / "meshes" / "stanford-bunny.obj").read_bytes(), "obj")
-    plane = receiver_plane(mesh.bounds, resolution=16, extent=3.0, gap=0.0)
-    middle = mesh.bounds.mean(axis=0)
-    eye = middle + mesh.diagonal * np.array([0.3, 0.5, 1.8])
-    brdfs = [
-        DiffuseAndMetal(np.array([0.5, 0.4, 0.3]), 0.3, 0.3),
-        Lambert(np.array([0.2, 0.5, 0.7])),
-    ]
-    return [mesh, plane], brdfs, View(tuple(eye), tuple(middle), 32.0, 32, 24)
-
-
-def shaderball(data_dir):
-    """Diffuse and rough metal, lit by itself in its hollows."""
-    from support.mitsuba_render import DiffuseAndMetal, View
-
-    mesh, _ = load_mesh((data_dir / "meshes" / "gltf" / "shaderball.glb").read_bytes(), "glb")
-    middle = mesh.bounds.mean(axis=0)
-    eye = middle + mesh.diagonal * np.array([0.3, 0.4, 1.5])
-    return (
-        [mesh],
-        [DiffuseAndMetal(np.array([0.45, 0.3, 0.2]), 0.4, 0.3)],
-        View(tuple(eye), tuple(middle), 30.0, 28, 21),
-    )
+    return overcast_sky(data_dir)
 
 
 def rendered(meshes, brdfs, view, light, n_bounces, n_paths, per_side):
     """Agreement of our picture with Mitsuba's, and of ours without its last bounce."""
-    from support.mitsuba_render import Agreement, by_mitsuba, by_paths
+    from support.mitsuba_render import by_mitsuba, by_paths
 
     theirs, corners = by_mitsuba(meshes, brdfs, light, view, n_bounces, n_paths=n_paths)
     ours, fewer = by_paths(
@@ -128,3 +80,37 @@ def test_flat_faces_leave_nothing_but_noise(data_dir, overcast, n_bounces):
     assert abs(found.ratio - 1.0) < 4.0 * found.ratio_error + 3e-4
     # the negative twin
     assert abs(fewer.ratio - 1.0) > 8.0 * found.ratio_error
+
+
+def test_the_budget_explains_the_baked_result(data_dir, overcast):
+    """Uncompressed, at the settings of a draft, relit by the projected and by the fitted light.
+
+    The budget is that of validation, drawn up without Mitsuba: it bounds how far the baked picture
+    is from Mitsuba's.
+    """
+    from support.mitsuba_render import by_mitsuba
+
+    meshes, brdfs, view = suzanne_in_a_box(data_dir)
+    theirs, _ = by_mitsuba(meshes, brdfs, overcast, view, 3, n_paths=4608, n_parts=8)
+    settings = BakeSettings(n_centres=162, cube_resolution=16, max_bounces=3, bounce_tolerance=0.0)
+    scene = baked(meshes, brdfs, settings)
+    sampling = ValidateSettings(passes=8, samples=128, bounces=3, bounce_samples=16)
+    chain = pixel_chain(validation_of_baked(scene, overcast, 64), view, 4, sampling)
+    for pictures in (chain[:-1], chain):
+        found = Explained.of(theirs, pictures)
+        LOG.info("%s", found)
+        assert found.slack < 0.25 * found.budget.total
+        assert found.is_bound
+        assert found.is_tight
+        # the reference is the smaller part of it
+        assert found.budget.lines[0].error < 0.5 * found.budget.total
+        assert found.budget.total <= found.own.sum_of_lines + found.slack
+        assert found.budget.total >= found.own.sum_of_lines / 3.0 - found.slack
+        # a coarse bake is not at the path tracer's 1e-3
+        assert MOST < found.agreements[-1].rel_mse < 10.0 * MOST
+    # the negative twin: a bake without bounces is farther off than the budget of the other allows
+    cheap = ValidateSettings(passes=2, samples=1, bounces=0)
+    direct = pixel_chain(validation_of_baked(scene, overcast, 8, bounces=False), view, 4, cheap)
+    wrong = Explained.of(theirs, [chain[0], direct[-2]])
+    LOG.info("%s", wrong)
+    assert wrong.budget.total > 1.5 * (found.own.sum_of_lines + found.slack)

@@ -133,39 +133,62 @@ def validate_camera(
         if progress is not None:
             progress(done / steps)
 
-    exact = [ExactTerms(part.factorisation) for part in validation.parts]
-    sampled = _sampled_pictures(validation, hits, rotations, advance)
+    chains = uncompressed_chains(
+        validation, hits, paths, rotations, settings, seed=seed, advance=advance
+    )
+    names = (MERGED_LINE,) if validation.exact is None else LINES[-2:]
+    assets = [own for own in (validation.exact, validation.delivered) if own is not None]
     views = []
-    for index, rotation in enumerate(rotations):
-        chain = _monte_carlo_pictures(
-            validation, hits, rotation, exact, settings, seed + index, advance
-        )
-        chain += sampled[index]
+    for rotation, uncompressed in zip(rotations, chains, strict=True):
         fitted = fitted_light(validation, rotation)
-        chain += [
-            asset_picture(asset, fitted, hits)[None]
-            for asset in (validation.exact, validation.delivered)
-            if asset is not None
-        ]
-        advance()
-        if paths.n_traces:
-            direct = chain[:N_WITH_PATHS]
-            chain[:N_WITH_PATHS] = paths.add(direct, rotation, settings, seed + index, advance)
-        names = line_names(validation, n_bounces)
-        pictures = tuple(
-            ChainPicture(name, passes) for name, passes in zip(names, chain, strict=True)
+        chain = uncompressed + tuple(
+            ChainPicture(name, asset_picture(asset, fitted, hits)[None])
+            for name, asset in zip(names, assets, strict=True)
         )
+        advance()
         views.append(
             ValidatedView(
-                budget=make_budget(pictures),
-                chain=pictures,
-                reference=hits.picture(pictures[0].mean),
-                delivered=hits.picture(pictures[-1].mean),
+                budget=make_budget(chain),
+                chain=chain,
+                reference=hits.picture(chain[0].mean),
+                delivered=hits.picture(chain[-1].mean),
                 coverage=hits.coverage,
                 n_hits=len(hits.pixels),
             )
         )
     return views
+
+
+def uncompressed_chains(
+    validation: ValidationScene,
+    hits: PixelHits,
+    paths: PathLight,
+    rotations: list[Float64[F64, "3 3"]],
+    settings: ValidateSettings,
+    *,
+    seed: int,
+    advance: Callable[[], None],
+) -> list[tuple[ChainPicture, ...]]:
+    """Render the chain from the reference to the fitted light, once for every rotation.
+
+    Of the assets no factor is read, only surfaces; ``paths`` are of the same hits, and ``advance``
+    is called after every pass and part.
+    """
+    exact = [ExactTerms(part.factorisation) for part in validation.parts]
+    sampled = _sampled_pictures(validation, hits, rotations, advance)
+    n_bounces = settings.reference_bounces(baked=validation.baked_bounces)
+    names = line_names(validation, n_bounces)[: N_WITH_PATHS + 2]
+    chains = []
+    for index, rotation in enumerate(rotations):
+        pictures = _monte_carlo_pictures(
+            validation, hits, rotation, exact, settings, seed + index, advance
+        )
+        pictures += sampled[index]
+        if paths.n_traces:
+            direct = pictures[:N_WITH_PATHS]
+            pictures[:N_WITH_PATHS] = paths.add(direct, rotation, settings, seed + index, advance)
+        chains.append(tuple(ChainPicture(*one) for one in zip(names, pictures, strict=True)))
+    return chains
 
 
 def line_names(validation: ValidationScene, n_bounces: int) -> tuple[str, ...]:

@@ -1,0 +1,200 @@
+"""Hold baked results against Mitsuba 3 and write what explains them into the documentation.
+
+``python tests/measured/against_mitsuba.py [--quick] [--to FOLDER] [name ...]`` bakes the scenes of the
+reference test in memory, at one setting after another, and writes ``measured/mitsuba-<name>.md``
+into ``docs``.  ``--quick`` tries the command with settings whose figures mean nothing, and leaves
+``docs`` alone.
+"""
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+# `pytest` is told this folder in pyproject.toml, a script is not
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import mitsuba as mi
+import numpy as np
+
+from benchmarks.run import cpu_name
+from measured.mitsuba_pages import Measured, page
+from prtbake_storage import __version__
+from prtbake_storage.contract.settings import AssetSettings, Quality, ValidateSettings
+from prtbake_workers.planning.presets import resolve_stages
+from support.agreement import Explained
+from support.baked_scene import baked, finer, pixel_chain, validation_of_baked
+from support.mitsuba_render import by_mitsuba
+from support.mitsuba_scenes import bunny_on_a_plane, overcast_sky, shaderball, suzanne_in_a_box
+
+ROOT = Path(__file__).resolve().parents[2]
+N_PARTS = 8
+"""Passes of our reference and independent pictures of Mitsuba's: they are differenced in pairs."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A quality's settings of the bake, some of them changed, on triangles cut so many times."""
+
+    label: str
+    quality: Quality = "medium"
+    changes: dict[str, Any] = field(default_factory=dict)
+    rounds: int = 0
+
+
+@dataclass(frozen=True)
+class MitsubaScene:
+    """A scene of the reference test; ``fine_parts`` are those whose triangles rungs cut.
+
+    ``n_points`` of ``per_side`` x ``per_side`` points of a pixel are shaded, each with ``samples`` of
+    light and ``paths`` a pass: a scene whose outline stands before nothing needs to know it well.
+    """
+
+    name: str
+    title: str
+    make: Any
+    n_bounces: int
+    n_paths: int
+    per_side: int
+    n_points: int
+    samples: int
+    paths: int
+    fine_parts: tuple[int, ...]
+    rungs: tuple[Rung, ...]
+
+
+SCENES = (
+    MitsubaScene(
+        "suzanne", "Suzanne in an open box with coloured walls, diffuse", suzanne_in_a_box,
+        n_bounces=3, n_paths=8192, per_side=6, n_points=36, samples=256, paths=16,
+        fine_parts=(0, 1, 2, 3, 4),
+        rungs=(
+            Rung("draft", "draft"),
+            Rung("medium"),
+            Rung("medium, triangles in 4", rounds=1),
+            Rung("medium, in 16", rounds=2),
+            Rung("in 16, 162 centres", changes={"n_centres": 162}, rounds=2),
+            Rung("in 16, 2,562 centres", changes={"n_centres": 2562}, rounds=2),
+            Rung("in 16, 16 x 16 a face", changes={"cube_resolution": 16}, rounds=2),
+            Rung("in 16, 64 x 64 a face", changes={"cube_resolution": 64}, rounds=2),
+            Rung("in 16, 256 bounce rays", changes={"bounce_rays": 256}, rounds=2),
+        ),
+    ),
+    MitsubaScene(
+        "bunny", "Bunny of diffuse and rough metal on a diffuse plane", bunny_on_a_plane,
+        n_bounces=2, n_paths=4224, per_side=16, n_points=9, samples=128, paths=16, fine_parts=(1,),
+        rungs=(
+            Rung("draft", "draft"),
+            Rung("draft, plane's triangles in 16", "draft", rounds=2),
+            Rung("in 16, 29 terms", "draft", {"term_energy_lost": 0.004}, rounds=2),
+        ),
+    ),
+    MitsubaScene(
+        "shaderball", "Shaderball of diffuse and rough metal", shaderball,
+        n_bounces=2, n_paths=4224, per_side=16, n_points=9, samples=128, paths=16, fine_parts=(),
+        rungs=(
+            Rung("draft", "draft"),
+            Rung("low", "low"),
+            Rung("draft, 35 terms", "draft", {"term_energy_lost": 0.004}),
+        ),
+    ),
+)  # fmt: skip
+
+QUICK = Rung("draft", "draft", changes={"n_centres": 42, "cube_resolution": 8, "n_terms": 3})
+N_LOBES = 162
+
+
+def measured(scene: MitsubaScene, data: Path) -> list[Measured]:
+    """Bake a scene at every rung and compare it with one picture of Mitsuba's."""
+    meshes, brdfs, view = scene.make(data)
+    light = overcast_sky(data)
+    theirs, _ = by_mitsuba(
+        meshes, brdfs, light, view, scene.n_bounces, n_paths=scene.n_paths, n_parts=N_PARTS
+    )
+    sampling = ValidateSettings(
+        passes=N_PARTS, samples=scene.samples, bounces=scene.n_bounces, bounce_samples=scene.paths
+    )
+    found = []
+    for rung in scene.rungs:
+        bake = resolve_stages(rung.quality, AssetSettings(bake=rung.changes)).bake
+        # as many bounces as Mitsuba has, whatever they add
+        bake = bake.model_copy(update={"max_bounces": scene.n_bounces, "bounce_tolerance": 0.0})
+        cut = [
+            finer(mesh, rung.rounds if index in scene.fine_parts else 0)
+            for index, mesh in enumerate(meshes)
+        ]
+        began = time.perf_counter()
+        own = baked(cut, brdfs, bake)
+        seconds = time.perf_counter() - began
+        chain = pixel_chain(
+            validation_of_baked(own, light, N_LOBES), view, scene.per_side, sampling,
+            n_points=scene.n_points,
+        )  # fmt: skip
+        explained = Explained.of(theirs, chain[:-1])
+        fitted = Explained.of(theirs, chain)
+        found.append(
+            Measured(
+                label=rung.label,
+                n_centres=bake.n_centres,
+                n_directions=6 * bake.cube_resolution**2,
+                bounce_rays=bake.bounce_rays,
+                vertices=own.scene.n_vertices,
+                terms=own.factorisations[0].n_terms,
+                seconds=seconds,
+                explained=explained,
+                fitted=fitted,
+            )
+        )
+        sys.stderr.write(f"{scene.name}: {rung.label}: {seconds:.0f} s: {fitted}\n")
+    return found
+
+
+def about(scene: MitsubaScene, data: Path) -> str:
+    """Say what was compared, and where."""
+    view = scene.make(data)[2]
+    return (
+        f"Both hold {scene.n_bounces} bounces under uffizi.hdr at 16 x 32 texels. Mitsuba "
+        f"{mi.__version__}: {view.width} x {view.height} pixels, {scene.n_paths:,} paths each. Ours: "
+        f"{scene.n_points} of {scene.per_side} x {scene.per_side} points a pixel; the reference takes {N_PARTS} x "
+        f"{scene.samples} light samples and {N_PARTS} x {scene.paths} paths from each. Measured "
+        f"with prtbake {__version__}, numpy {np.__version__}, on one core of {cpu_name()}, load "
+        f"{os.getloadavg()[0]:.1f} before the start."
+    )
+
+
+def main(arguments: list[str]) -> int:
+    """Measure the scenes named, or all, and write their pages."""
+    known = [scene.name for scene in SCENES]
+    parser = argparse.ArgumentParser(description="Hold baked results against Mitsuba 3, anew.")
+    parser.add_argument("--quick", action="store_true", help="coarse settings, to try the command")
+    parser.add_argument("--to", type=Path, help="docs; with --quick results-output/docs")
+    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(known)}")
+    options = parser.parse_args(arguments)
+    unknown = sorted(set(options.names) - set(known))
+    if unknown:
+        parser.error(f"no scene {', '.join(unknown)}; there are {', '.join(known)}")
+    data = Path(os.environ.get("PRTBAKE_DATA", "")).resolve()
+    if not (data / "meshes").is_dir():
+        parser.error("PRTBAKE_DATA must name the folder of the real data")
+    to = options.to or (ROOT / "results-output" / "docs" if options.quick else ROOT / "docs")
+    (to / "measured").mkdir(parents=True, exist_ok=True)
+    for scene in SCENES:
+        if scene.name not in (options.names or known):
+            continue
+        own = scene
+        if options.quick:
+            own = replace(
+                scene, n_paths=128, per_side=2, n_points=4, samples=8, paths=1, rungs=(QUICK,)
+            )
+        said = about(own, data) + (" Tried with `--quick`: no result." if options.quick else "")
+        path = to / "measured" / f"mitsuba-{scene.name}.md"
+        path.write_text(page(scene.title, said, measured(own, data)))
+        sys.stdout.write(f"{path}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
