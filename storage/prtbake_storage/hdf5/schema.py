@@ -4,7 +4,7 @@
 
     /                 attributes format="prtbake", version, kind (one of KINDS)
     /provenance       JSON text: input digests, settings, seeds, versions, plan
-    /mesh/            positions normals faces uv, and colours of a registered mesh
+    /mesh/            positions normals faces uv; of kind mesh also colours face_groups group_names
     /basis/           centres; attributes kernel, bandwidth
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance

@@ -24,7 +24,15 @@ PACKAGES = ("prtbake", "numpy", "scipy", "embreex", "trimesh", "h5py")
 def load_mesh(store: BlobStore, digest: str) -> tuple[Mesh, dict[str, Any]]:
     """Load a registered mesh and what parsing found in it."""
     file = read_mesh(store.local_path(digest))
-    mesh = Mesh(file.positions, file.faces, file.normals, file.uv, file.colours)
+    mesh = Mesh(
+        file.positions,
+        file.faces,
+        file.normals,
+        file.uv,
+        file.colours,
+        file.face_groups,
+        file.group_names,
+    )
     return mesh, dict(file.report)
 
 
