@@ -56,12 +56,12 @@ def measured_brdf(file: BrdfFile) -> Brdf:
     return HalfDifferenceTable(file.arrays["values"])
 
 
-def load_texture(store: BlobStore, digest: str) -> F32:
-    """Decode an albedo texture to linear Rec.709, rows from the top."""
+def load_texture(store: BlobStore, digest: str, *, pointer: str) -> F32:
+    """Decode an albedo texture to linear Rec.709, rows from the top; errors have the pointer."""
     try:
         return read_albedo_texture(store.read_bytes(digest))
     except InputError as error:
-        raise InputError(error.detail, pointer="/albedo_texture") from error
+        raise InputError(error.detail, pointer=pointer) from error
 
 
 def versions() -> dict[str, str]:
