@@ -22,7 +22,7 @@ I32 = NDArray[np.int32]
 class MeshFile:
     """A repaired mesh: positions (verts, 3), faces (tris, 3), unit normals, uv (verts, 2) or None.
 
-    ``colours`` (verts, 3) are linear Rec.709 in [0, 1], or None; ``face_groups`` (tris,) are indices
+    ``colours`` (verts, 3) are linear Rec.709 in [0, 1], or None; ``face_groups`` (tris,) indices
     of ``group_names``, None where the file tells no groups; ``report`` is what parsing found and
     mended.
     """
