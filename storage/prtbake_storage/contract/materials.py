@@ -78,6 +78,7 @@ class Material(Wire):
     """What one group of a mesh's faces is made of."""
 
     brdf: ResourceId | BrdfSpec
+    """The id of a registered one, or its JSON."""
     albedo_texture: Digest | None = None
     """Multiplies the reflectance of a Lambert BRDF."""
     subsurface: Subsurface | None = None
