@@ -57,7 +57,7 @@ def test_groups_of_faces_come_back_or_are_found_wrong(
 ) -> None:
     mesh = MeshFile(
         rng.normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]], np.int32), unit(rng, 5), None,
-        {}, np.array(of_face, np.int32), names,
+        face_groups=np.array(of_face, np.int32), group_names=names,
     )  # fmt: skip
     write_mesh(tmp_path / "m.h5", mesh)
     if complaint is None:
