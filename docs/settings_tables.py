@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from prtbake_storage.contract.brdf import BrdfSpec, LafortuneLobe
 from prtbake_storage.contract.brdf_fits import DenseLayer
-from prtbake_storage.contract.materials import Subsurface
+from prtbake_storage.contract.materials import Material, Subsurface
 from prtbake_storage.contract.resources import BuiltinEnvironment, BuiltinMesh
 from prtbake_storage.contract.settings import STAGES, Camera, Effects, ReceiverPlane
 from prtbake_workers.planning.presets import LADDER
@@ -38,10 +38,11 @@ def brdf_tables() -> str:
 
 
 def scene_tables() -> str:
-    """Return the tables of effects, receiver, medium and built-in inputs."""
+    """Return the tables of effects, materials, receiver, medium and built-in inputs."""
     return "\n".join(
         [
             model_table(Effects, "`effects`"),
+            model_table(Material, "A material of `materials`"),
             model_table(ReceiverPlane, "`receiver`"),
             model_table(Subsurface, "`subsurface`"),
             model_table(BuiltinMesh, "A built-in mesh"),

@@ -14,7 +14,7 @@ from prtbake_storage.decode.relight import rotation_matrix, whitened_light
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from support.deployment import Installation, until
-from support.main_job import HEAVY_BAKE, SETTINGS, Finished
+from support.main_job import GLOSSY, HEAVY_BAKE, SETTINGS, Finished, main_request
 
 pytestmark = pytest.mark.acceptance
 
@@ -153,6 +153,36 @@ def test_a_textured_mesh_through_the_command_line(local: Installation, tmp_path:
     check_quadrants(Asset.open(tmp_path / "out" / "asset.h5"), tmp_path / "out" / "light.h5")
     budget = json.loads((tmp_path / "out" / "report.json").read_text())["budget"]
     assert budget["sum_of_lines"] / 3 <= budget["total"] <= budget["sum_of_lines"]
+
+
+def test_two_materials_and_a_painted_plane_over_rest(local: Installation, tmp_path: Path) -> None:
+    """The teapot with a glossy lid on a tiled plane, from a request in JSON."""
+    Image.fromarray(QUADRANTS.repeat(8, axis=0).repeat(8, axis=1)).save(tmp_path / "tiles.png")
+    tiles = local.client.upload(tmp_path / "tiles.png").digest
+    request = main_request(local) | {
+        "label": "a glossy lid",
+        "brdf": {"model": "lambert", "albedo": 0.6},
+        "materials": {"lid": {"brdf": GLOSSY}},
+        "receiver": {"resolution": 12, "albedo_texture": tiles, "texture_repeats": 2},
+    }
+    found = local.client.estimate(request).plan["parts"]
+    parts = [("body, handle, spout", "object"), ("lid", "object"), ("receiver", "receiver")]
+    assert [(part["name"], part["role"]) for part in found] == parts
+    job = local.client.wait(local.client.submit(request).id)
+    assert job.state is JobState.succeeded, job.error
+    assert {artefact.name for artefact in job.artefacts} == FILES
+    assert job.result is not None
+    budget = job.result["budget"]
+    assert budget["sum_of_lines"] / 3 <= budget["total"] <= budget["sum_of_lines"]
+    assert {name for name, _ in parts} <= set(job.result["errors"]["bake"])
+    local.client.download_all(job.id, tmp_path / "out")
+    asset = Asset.open(tmp_path / "out" / "asset.h5")
+    assert [(part.name, part.role) for part in asset.data.parts] == parts
+    assert asset.data.parts[2].albedo_texture is not None
+
+    with pytest.raises(InvalidRequest, match="'body', 'lid', 'handle', 'spout'") as refused:
+        local.client.submit(request | {"materials": {"knob": {"brdf": GLOSSY}}})
+    assert refused.value.problem.pointer == "/materials/knob"
 
 
 def check_quadrants(asset: Asset, light: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from prtbake_storage.contract.materials import Subsurface
+from prtbake_storage.contract.materials import Material, Subsurface
 from prtbake_storage.contract.settings import STAGES, Camera, Effects, ReceiverPlane
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -18,7 +18,9 @@ def page() -> str:
     return with_tables((DOCS / "settings.md").read_text())
 
 
-@pytest.mark.parametrize("model", [*STAGES.values(), Camera, Effects, ReceiverPlane, Subsurface])
+@pytest.mark.parametrize(
+    "model", [*STAGES.values(), Camera, Effects, Material, ReceiverPlane, Subsurface]
+)
 def test_every_field_has_a_row(page: str, model: type) -> None:
     for name in model.model_fields:
         assert f"| `{name}` |" in page

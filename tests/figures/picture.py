@@ -77,7 +77,7 @@ def picture_strip(scene, accelerator, brdf, light, sizes, width):
 
 def _seen(scene, accelerator, width, height):
     """Find the pixels that show the first part, their points, and the eye from each, locally."""
-    bounds = framing_bounds(scene.positions, scene.part_ranges[0])
+    bounds = framing_bounds(scene.positions, scene.part_ranges[:1])
     origins, rays = camera_rays(CAMERA, width, height, bounds)
     hits = accelerator.intersect(origins.astype(np.float32), rays.astype(np.float32))
     pixels = np.flatnonzero(hits.triangles >= 0)

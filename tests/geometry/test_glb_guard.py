@@ -31,7 +31,7 @@ def test_only_geometry_is_kept(pack_glb, triangle_gltf):
     }
     header["nodes"][0] |= {"camera": 0, "name": "../../x", "translation": [1, 2, 3]}
     header["meshes"][0]["primitives"][0]["material"] = 0
-    kept, warnings = guard_glb(pack_glb(header, binary), LIMITS)
+    kept, warnings, *_ = guard_glb(pack_glb(header, binary), LIMITS)
     assert warnings == []
     out = header_of(kept)
     assert set(out) == {
@@ -53,7 +53,7 @@ def with_normals(triangle_gltf, **accessor):
 
 
 def test_normals_pass_as_an_attribute_of_our_own(pack_glb, triangle_gltf):
-    kept, warnings = guard_glb(pack_glb(*with_normals(triangle_gltf)), LIMITS)
+    kept, warnings, *_ = guard_glb(pack_glb(*with_normals(triangle_gltf)), LIMITS)
     attributes = header_of(kept)["meshes"][0]["primitives"][0]["attributes"]
     assert attributes == {"POSITION": 0, UV_ATTRIBUTE: 1, NORMAL_ATTRIBUTE: 3}
     assert warnings == []
@@ -63,7 +63,7 @@ def test_normals_pass_as_an_attribute_of_our_own(pack_glb, triangle_gltf):
     "accessor", [{"componentType": 5121}, {"type": "VEC4"}, {"sparse": {"count": 1}}]
 )
 def test_normals_that_are_not_read_are_left_out_and_said(pack_glb, triangle_gltf, accessor):
-    kept, warnings = guard_glb(pack_glb(*with_normals(triangle_gltf, **accessor)), LIMITS)
+    kept, warnings, *_ = guard_glb(pack_glb(*with_normals(triangle_gltf, **accessor)), LIMITS)
     attributes = header_of(kept)["meshes"][0]["primitives"][0]["attributes"]
     assert NORMAL_ATTRIBUTE not in attributes
     assert warnings == [
@@ -166,7 +166,7 @@ def test_overlapping_views_cannot_multiply_the_file(pack_glb, triangle_gltf):
 def test_other_drawing_modes_are_left_out_and_said(pack_glb, triangle_gltf):
     header, binary = triangle_gltf
     header["meshes"][0]["primitives"][0]["mode"] = 1
-    _, warnings = guard_glb(pack_glb(header, binary), LIMITS)
+    _, warnings, *_ = guard_glb(pack_glb(header, binary), LIMITS)
     assert warnings == [
         "meshes[0].primitives[0]: drawing mode 1 left out; only triangles and strips are read"
     ]

@@ -59,6 +59,27 @@ def test_a_built_in_keeps_its_exact_normals_unless_creases_are_asked_for(store):
     assert understood["crease_vertices"] == 240 - 42
 
 
+def test_groups_of_faces_are_stored_and_told(store):
+    data = CUBE.replace(b"f 4 3", b"usemtl white\nf 4 3").replace(b"f 2 3", b"usemtl red\nf 2 3")
+    for options, n_vertices in (({}, 8), ({"crease_angle_deg": 30.0}, 24)):
+        mesh, understood = mesh_of(store, data, **options)
+        assert len(mesh.positions) == n_vertices
+        assert mesh.group_names == ("white", "red")
+        assert mesh.face_groups.tolist() == [0] * 6 + [1] * 6
+        assert understood["groups"] == [
+            {"name": "white", "faces": 6},
+            {"name": "red", "faces": 6},
+        ]
+    for crease in (None, 30.0):
+        mesh, understood = mesh_of(
+            store, builtin={"name": "teapot", "tessellation": 2}, crease_angle_deg=crease
+        )
+        assert mesh.group_names == ("body", "lid", "handle", "spout")
+        assert [group["faces"] for group in understood["groups"]] == np.bincount(
+            mesh.face_groups
+        ).tolist()
+
+
 @pytest.mark.parametrize("angle", [0.0, -3.0, 181.0])
 def test_angles_out_of_range_are_refused(store, angle):
     with pytest.raises(ValidationError, match="crease_angle_deg"):

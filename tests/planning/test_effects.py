@@ -40,9 +40,11 @@ GLOSSY = factorise(
 def decisions(meshes, *, watertight, requested=None, factorisation=DIFFUSE):
     scene = Scene.from_parts(meshes)
     found = decide_effects(
-        meshes,
+        meshes[0],
         scene,
         Accelerator(scene.positions, scene.faces),
+        names=["object", "receiver"][: len(meshes)],
+        roles=["object", "receiver"][: len(meshes)],
         factorisations=[factorisation, DIFFUSE][: len(meshes)],
         albedo=Albedo.constant(0.5),
         watertight=watertight,
@@ -64,7 +66,7 @@ def test_a_closed_convex_mesh_needs_no_ray_and_loses_nothing_by_it():
     ball = sphere_mesh(3)
     by_name, found, scene = decisions([ball], watertight=True)
     assert not by_name["self_shadowing"].taken
-    assert occluders_of(0, 1, found) == ()
+    assert occluders_of(0, ["object"], found) == ()
     # the other direction: the rays that were saved would all have escaped
     ratio, blocked, rays = probe_occlusion(
         scene, Accelerator(scene.positions, scene.faces), 0, DIFFUSE, seed=7
@@ -178,7 +180,8 @@ def test_a_small_object_on_a_wide_plane_keeps_its_shadows():
     for seed in range(4):
         scene = Scene.from_parts([ball, plane])
         found = decide_effects(
-            [ball, plane], scene, Accelerator(scene.positions, scene.faces),
+            ball, scene, Accelerator(scene.positions, scene.faces),
+            names=["ball", "plane"], roles=["object", "receiver"],
             factorisations=[DIFFUSE, DIFFUSE], albedo=Albedo.constant(0.5), watertight=True,
             bake=BakeSettings(), requested=Effects(), seed=seed,
         )  # fmt: skip
@@ -227,8 +230,8 @@ def test_a_receiver_brings_shadows_both_ways_even_to_a_convex_object():
     plane = receiver_plane(ball.bounds, resolution=16, extent=2.0, gap=0.0)
     by_name, found, _ = decisions([ball, plane], watertight=True)
     assert by_name["receiver_shadows"].taken
-    assert occluders_of(0, 2, found) == (1,)
-    assert occluders_of(1, 2, found) == (0,)
+    assert occluders_of(0, ["object", "receiver"], found) == (1,)
+    assert occluders_of(1, ["object", "receiver"], found) == (0,)
 
 
 def test_forcing_an_effect_off_reports_the_error_it_was_predicted_to_cost():
@@ -237,7 +240,7 @@ def test_forcing_an_effect_off_reports_the_error_it_was_predicted_to_cost():
     decision = by_name["self_shadowing"]
     assert (decision.taken, decision.forced) == (False, True)
     assert decision.predicted_error_otherwise > 0.01
-    assert occluders_of(0, 1, found) == ()
+    assert occluders_of(0, ["object"], found) == ()
 
 
 def test_glossy_parts_need_frames_and_view_dependence():

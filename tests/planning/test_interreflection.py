@@ -87,7 +87,7 @@ def test_the_probe_predicts_what_bounces_add(glossy):
 def decide(surface, factorisations, albedo, *, tolerance=1e-3, **requested):
     found = decide_bounces(
         surface.scene, surface, factorisations, albedo, BakeSettings(bounce_tolerance=tolerance),
-        Effects(**requested), seed=0,
+        Effects(**requested), names=[f"part {i}" for i in range(len(factorisations))], seed=0,
     )  # fmt: skip
     return {decision.effect: decision for decision in found}
 

@@ -28,7 +28,7 @@ def plan_of(settings, terms, *, share=0.0, coloured=False):
     ]  # fmt: skip
     return scene, make_plan(
         scene, ["object"], [terms], effects, settings, "medium",
-        chunk_vertices=lambda *_: CHUNK, spectra=[np.ones(1)], notes=[],
+        roles=["object"], chunk_vertices=lambda *_: CHUNK, spectra=[np.ones(1)], notes=[],
     )  # fmt: skip
 
 

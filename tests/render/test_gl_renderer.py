@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.contract.settings import Camera
-from prtbake_storage.decode.asset import Asset
+from prtbake_storage.decode.asset import Asset, Part, check_asset
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.render.camera import Pinhole, pinhole
@@ -89,6 +89,48 @@ def test_gl_agrees_with_the_numpy_decode_in_three_channels(
         gl.set_light(light)
         cpu.set_light(light)
         assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
+
+
+def with_a_chip(scene: Asset) -> Asset:
+    """A third part: one triangle in front of the others, with three clusters for its vertices."""
+    n = scene.n_vertices
+    chip = Part(
+        name="chip", vertex_range=(n, n + 3), material={"model": "lambert"}, method="cpca",
+        labels=np.arange(3, dtype=np.int32), weights=np.zeros((3, 1), np.float32),
+        means=np.arange(36, dtype=np.float32).reshape(3, 12), ranks=np.ones((3, 3), np.int32),
+        components=np.zeros((3, 1, 12), np.float32), albedo=np.array([0.2, 0.9, 0.4], np.float32),
+    )  # fmt: skip
+    corners = np.array([[0.0, 0.6, 1.5], [1.6, 0.6, 1.5], [0.8, 1.8, 1.5]], np.float32)
+    return replace(
+        scene,
+        positions=np.concatenate([scene.positions, corners]),
+        faces=np.concatenate([scene.faces, np.array([[n, n + 1, n + 2]], np.int32)]),
+        normals=np.concatenate([scene.normals, np.tile(np.float32([0, 0, 1]), (3, 1))]),
+        uv=np.concatenate([scene.uv, np.zeros((3, 2), np.float32)]),
+        parts=(*scene.parts, chip),
+    )
+
+
+def test_a_part_of_one_triangle_is_drawn_beside_large_ones(scene: Asset, light: np.ndarray) -> None:
+    three = with_a_chip(scene)
+    check_asset(three)
+    view = view_of(three)
+    with GlRenderer(three) as gl, CpuRenderer(three) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        interior, share = mismatch(gl, cpu, view)
+        assert interior < INTERIOR
+        assert share < SILHOUETTE_SHARE
+        seen = gl.visibility(view, WIDTH, HEIGHT).triangles == len(three.faces) - 1
+        assert np.count_nonzero(seen) > 100
+        # negative twin: its albedo is its own, not that of the part drawn before it
+        shown = gl.render(view, WIDTH, HEIGHT).radiance[seen]
+    grey = replace(three.parts[2], albedo=np.ones(3, np.float32))
+    with GlRenderer(replace(three, parts=(*scene.parts, grey))) as gl:
+        gl.set_light(light)
+        plain = gl.render(view, WIDTH, HEIGHT).radiance[seen]
+    np.testing.assert_allclose(shown, plain * three.parts[2].albedo, rtol=1e-4, atol=1e-6)
+    assert np.abs(shown - plain).max() > 0.1 * np.abs(plain).max()
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])

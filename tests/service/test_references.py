@@ -21,7 +21,8 @@ def test_context_of_an_asset(service: LiveService, http, mesh: str, environment:
     }
     job = http.post("/v1/jobs", json=body).json()
     context = context_of(service.backend.database, job["id"])
-    assert set(context) == {"mesh", "environment", "brdf", "albedo_texture"}
+    assert set(context) == {"mesh", "environment", "brdf", "materials", "albedo_texture"}
+    assert context["materials"] == {}
     assert context["mesh"]["id"] == mesh
     assert context["mesh"]["understood"]["n"] == 7
     assert service.backend.blobs.read_bytes(context["mesh"]["canonical"]) == mesh.encode()
@@ -206,6 +207,92 @@ def test_a_medium_that_means_nothing_is_refused(
     answer = http.post("/v1/jobs", json=body)
     assert answer.status_code == 422
     assert answer.json()["pointer"].startswith("/subsurface")
+
+
+GROUPS = [{"name": "lid", "faces": 3}, {"name": "a/b~c", "faces": 9}]
+
+
+@pytest.fixture
+def grouped(service: LiveService, http: httpx.Client) -> str:
+    """A ready mesh with two groups of faces."""
+    made = http.post("/v1/meshes", json={"builtin": {"name": "teapot", "tessellation": 7}}).json()
+    canonical = service.backend.blobs.put_bytes(b"grouped")
+    if made["state"] == "parsing":
+        service.succeed(
+            f"parse-{made['id']}", {"canonical": canonical, "understood": {"groups": GROUPS}}
+        )
+    return str(made["id"])
+
+
+def test_context_of_materials(service: LiveService, http: httpx.Client, grouped: str) -> None:
+    """Every material's BRDF is resolved, and what names a blob is kept for the job."""
+    texture = service.backend.blobs.put_bytes(b"a third picture")
+    service.backend.uploads.add(texture, 15)
+    spec = {"model": "ggx", "alpha": 0.3}
+    made = http.post("/v1/brdfs", json={"spec": spec}).json()
+    canonical = service.backend.blobs.put_bytes(b"shiny")
+    understood = {"spec": made["request"]["spec"], "isotropic": True}
+    service.succeed(f"parse-{made['id']}", {"canonical": canonical, "understood": understood})
+    body = {
+        "kind": "bake", "mesh": grouped, "brdf": LAMBERT,
+        "materials": {
+            "lid": {"brdf": made["id"]}, "a/b~c": {"brdf": LAMBERT, "albedo_texture": texture}
+        },
+        "receiver": {"albedo_texture": texture},
+    }  # fmt: skip
+    job = http.post("/v1/jobs", json=body)
+    assert job.status_code == 202, job.text
+    found = context_of(service.backend.database, job.json()["id"])["materials"]
+    assert found["lid"]["id"] == made["id"]
+    assert found["lid"]["spec"] == understood["spec"]
+    assert found["a/b~c"]["spec"] == LAMBERT
+    assert job.json()["request"]["materials"]["a/b~c"]["albedo_texture"] == texture
+
+
+TEXTURE = {"albedo_texture": "sha256:" + "2" * 64}
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs", "/v1/jobs:estimate"])
+@pytest.mark.parametrize(
+    ("change", "status", "pointer", "detail"),
+    [
+        ({"materials": {"lib": {"brdf": LAMBERT}}}, 400, "/materials/lib", "'lid', 'a/b~c'"),
+        ({"materials": {"x/~": {"brdf": LAMBERT}}}, 400, "/materials/x~1~0", "no group of faces"),
+        ({"materials": {"a/b~c": {"brdf": "brdf-00000000000000ff"}}}, 404,
+         "/materials/a~1b~0c/brdf", "there is no brdf"),
+        ({"materials": {"lid": {"brdf": LAMBERT} | TEXTURE}}, 404,
+         "/materials/lid/albedo_texture", "has not been uploaded"),
+        ({"materials": {"lid": {"brdf": {"model": "ggx"}} | TEXTURE}}, 400,
+         "/materials/lid/albedo_texture", "needs a lambert"),
+        ({"receiver": TEXTURE}, 404, "/receiver/albedo_texture", "has not been uploaded"),
+        ({"receiver": {"brdf": {"model": "ggx"}} | TEXTURE}, 400, "/receiver/albedo_texture",
+         "needs a lambert"),
+        ({"materials": {"lid": {"brdf": {"model": "ggx"}, "subsurface": MARBLE}}}, 400,
+         "/materials/lid/subsurface", "needs a lambert"),
+        ({"materials": {"lid": {"brdf": LAMBERT, "vertex_colours": True}}}, 400,
+         "/materials/lid/vertex_colours", "no usable vertex colours"),
+        ({"materials": {"lid": {}}}, 422, "/materials/lid/brdf", "required"),
+        ({"materials": {"a/b~c": {"brdf": LAMBERT, "roughness": 1}}}, 422,
+         "/materials/a~1b~0c/roughness", "Extra inputs"),
+        ({"materials": {f"g{i}": {"brdf": LAMBERT} for i in range(33)}}, 422, "/materials",
+         "at most 32"),
+        ({"receiver": {"texture_repeats": 0}}, 422, "/receiver/texture_repeats", "greater than 0"),
+    ],
+)  # fmt: skip
+def test_a_material_that_cannot_be_is_refused_where_it_stands(
+    http: httpx.Client, grouped: str, path: str, change: dict[str, object], status: int,
+    pointer: str, detail: str,
+) -> None:  # fmt: skip
+    answer = http.post(path, json={"kind": "bake", "mesh": grouped, "brdf": LAMBERT} | change)
+    assert (answer.status_code, answer.json()["pointer"]) == (status, pointer), answer.text
+    assert detail in answer.text
+
+
+def test_a_mesh_without_groups_takes_no_materials(http: httpx.Client, mesh: str) -> None:
+    body = {"kind": "bake", "mesh": mesh, "brdf": LAMBERT, "materials": {"a": {"brdf": LAMBERT}}}
+    answer = http.post("/v1/jobs", json=body)
+    assert (answer.status_code, answer.json()["pointer"]) == (400, "/materials/a")
+    assert "it has none at all" in answer.json()["detail"]
 
 
 def test_an_artefact_must_be_finished(service: LiveService, http, submit) -> None:

@@ -38,6 +38,35 @@ def test_a_mesh_comes_back_in_float64(rng: np.random.Generator, tmp_path: Path) 
         np.testing.assert_array_equal(back.normals, mesh.normals)
         assert (back.uv is None) == (given.uv is None)
         assert back.report == {"flipped": 0}
+        assert back.face_groups is None
+        assert back.group_names == ()
+
+
+@pytest.mark.parametrize(
+    ("of_face", "names", "complaint"),
+    [
+        ([1, 0], ("steel", "Ångström"), None),
+        ([1, 2], ("steel", "brass"), "triangle 1 names a group outside"),
+        ([-1, 0], ("steel", "brass"), "triangle 0 names a group outside"),
+        ([0, 1], ("steel", "steel"), "not distinct"),
+        ([0, 1], ("steel", 3), "not a list of names"),
+    ],
+)
+def test_groups_of_faces_come_back_or_are_found_wrong(
+    rng: np.random.Generator, tmp_path: Path, of_face: list[int], names: tuple, complaint: str
+) -> None:
+    mesh = MeshFile(
+        rng.normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]], np.int32), unit(rng, 5), None,
+        face_groups=np.array(of_face, np.int32), group_names=names,
+    )  # fmt: skip
+    write_mesh(tmp_path / "m.h5", mesh)
+    if complaint is None:
+        back = read_mesh(tmp_path / "m.h5")
+        np.testing.assert_array_equal(back.face_groups, of_face)
+        assert back.group_names == names
+    else:
+        with pytest.raises(CorruptArtefact, match=complaint):
+            read_mesh(tmp_path / "m.h5")
     write_mesh(tmp_path / "m.h5", replace(mesh, faces=np.array([[0, 1, 5]], np.int32)))
     with pytest.raises(CorruptArtefact, match="/mesh/faces: triangle 0"):
         read_mesh(tmp_path / "m.h5")

@@ -70,6 +70,9 @@ def _bounds(schema: Schema) -> tuple[float, float]:
 
 
 def _objects(schema: Schema, document: Schema) -> st.SearchStrategy[Any]:
+    if isinstance(schema.get("additionalProperties"), Mapping):
+        keys = st.one_of(st.text(max_size=20), ODD_TEXT)
+        return st.dictionaries(keys, values(schema["additionalProperties"], document), max_size=3)
     properties = schema.get("properties", {})
     # the tag of a union is never left out: nothing behind it would be looked at
     needed = set(schema.get("required", ())) | ({"kind", "model"} & set(properties))

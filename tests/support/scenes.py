@@ -45,6 +45,10 @@ def context_of(
     return {
         "mesh": registered(store, "mesh", **mesh),
         "brdf": {"spec": request["brdf"]},
+        "materials": {
+            name: {"spec": material["brdf"]}
+            for name, material in request.get("materials", {}).items()
+        },
         "environment": registered(store, "environment", **environment),
         "albedo_texture": request.get("albedo_texture"),
         "artefacts": {},

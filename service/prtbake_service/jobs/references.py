@@ -3,6 +3,7 @@
 from typing import Any
 
 from prtbake_service.backend import Backend
+from prtbake_storage.contract.brdf import LambertSpec
 from prtbake_storage.contract.jobs import (
     AssetRequest,
     BakeRequest,
@@ -12,6 +13,7 @@ from prtbake_storage.contract.jobs import (
     RenderRequest,
     ValidateRequest,
 )
+from prtbake_storage.contract.materials import Material, material_pointer, require_groups
 from prtbake_storage.contract.resources import Resource
 from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
@@ -48,8 +50,9 @@ class Resolver:
         -------
         dict
             ``mesh`` and ``environment``: id, canonical digest, understood; ``brdf``: id, canonical
-            digest and spec (the first two None for a BRDF given in the request); ``artefacts``:
-            digest, job and name by role; ``albedo_texture``: digest or None.
+            digest and spec (the first two None for a BRDF given in the request); ``materials``:
+            as much of each one's BRDF, by group; ``artefacts``: digest, job and name by role;
+            ``albedo_texture``: digest or None.
         """
         match request:
             case BakeRequest():
@@ -79,31 +82,62 @@ class Resolver:
 
     def _scene(self, request: BakeRequest | AssetRequest) -> Context:
         mesh = self._resource("mesh", request.mesh)
-        if isinstance(request.brdf, str):
-            found = self._resource("brdf", request.brdf)
+        brdf = self._material(request, mesh["understood"])
+        groups = [group["name"] for group in mesh["understood"].get("groups", [])]
+        require_groups(request.materials, groups)
+        materials = {
+            name: self._material(material, mesh["understood"], material_pointer(name))
+            for name, material in request.materials.items()
+        }
+        plane = request.receiver
+        if plane is not None and plane.albedo_texture is not None:
+            own = Material(
+                brdf=plane.brdf or LambertSpec(albedo=plane.albedo),
+                albedo_texture=plane.albedo_texture,
+            )
+            self._material(own, {}, "/receiver")
+        return {
+            "mesh": mesh,
+            "brdf": brdf,
+            "materials": materials,
+            "albedo_texture": request.albedo_texture,
+        }
+
+    def _material(
+        self,
+        material: Material | BakeRequest | AssetRequest,
+        understood: Context,
+        pointer: str = "",
+    ) -> Context:
+        """Resolve a BRDF and check what goes with it; ``pointer`` leads to them.
+
+        A request has the fields of a `Material` too; ``understood`` is that of the mesh.
+        """
+        if isinstance(material.brdf, str):
+            found = self._resource("brdf", material.brdf, f"{pointer}/brdf")
             brdf = found | {"spec": found["understood"].get("spec", found["understood"])}
         else:
-            spec = request.brdf.model_dump(mode="json")
+            spec = material.brdf.model_dump(mode="json")
             brdf = {"id": None, "canonical": None, "understood": {}, "spec": spec}
-        if request.albedo_texture is not None:
+        if material.albedo_texture is not None:
             if brdf["spec"].get("model") != "lambert":
                 raise SettingsError(
                     "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
-                    pointer="/albedo_texture",
+                    pointer=f"{pointer}/albedo_texture",
                 )
-            self.require_upload(request.albedo_texture, "/albedo_texture")
-        if request.subsurface is not None and brdf["spec"].get("model") != "lambert":
+            self.require_upload(material.albedo_texture, f"{pointer}/albedo_texture")
+        if material.subsurface is not None and brdf["spec"].get("model") != "lambert":
             raise SettingsError(
                 "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the "
                 "medium",
-                pointer="/subsurface",
+                pointer=f"{pointer}/subsurface",
             )
-        if request.vertex_colours:
-            _check_colours(brdf["spec"], mesh["understood"])
-        return {"mesh": mesh, "brdf": brdf, "albedo_texture": request.albedo_texture}
+        if material.vertex_colours:
+            _check_colours(brdf["spec"], understood, f"{pointer}/vertex_colours")
+        return brdf
 
-    def _resource(self, kind: str, resource_id: str) -> Context:
-        pointer = f"/{kind}"
+    def _resource(self, kind: str, resource_id: str, pointer: str | None = None) -> Context:
+        pointer = pointer or f"/{kind}"
         if not resource_id.startswith(f"{kind}-"):
             raise NotFound(f"{resource_id} is no {kind}", pointer=pointer)
         try:
@@ -148,17 +182,17 @@ class Resolver:
             raise NotFound(f"{digest} has not been uploaded", pointer=pointer) from error
 
 
-def _check_colours(spec: Context, understood: Context) -> None:
+def _check_colours(spec: Context, understood: Context, pointer: str) -> None:
     """Refuse vertex colours before the plan would: the job may wait for long until then."""
     if spec.get("model") != "lambert":
         raise SettingsError(
             "vertex colours need a lambert BRDF: they multiply the whole reflectance",
-            pointer="/vertex_colours",
+            pointer=pointer,
         )
     if not understood.get("vertex_colours"):
         raise SettingsError(
             "the mesh has no usable vertex colours: its warnings say why, if its file holds any",
-            pointer="/vertex_colours",
+            pointer=pointer,
         )
 
 

@@ -8,7 +8,7 @@ from pydantic import Field, TypeAdapter, field_validator
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
-from prtbake_storage.contract.materials import Subsurface, Tangents
+from prtbake_storage.contract.materials import Materials, Subsurface, Tangents
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
@@ -63,6 +63,8 @@ class _SceneRequest(_Request):
     """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
     tangents: Tangents = "horizontal"
     """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
+    materials: Materials = Field(default_factory=dict)
+    """Of groups of the mesh's faces; the others have what stands above."""
     receiver: ReceiverPlane | None = None
     effects: Effects = Effects()
 

@@ -1,11 +1,13 @@
 """What a surface is made of, as requests say it."""
 
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from prtbake_storage.contract.base import Digest, Positive, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
+from prtbake_storage.errors import SettingsError
 
 Coefficient = Annotated[float, Field(ge=0.0, le=1e9)]
 """Of scattering or absorption, per millimetre."""
@@ -76,8 +78,50 @@ class Material(Wire):
     """What one group of a mesh's faces is made of."""
 
     brdf: ResourceId | BrdfSpec
+    """The id of a registered one, or its JSON."""
     albedo_texture: Digest | None = None
     """Multiplies the reflectance of a Lambert BRDF."""
     subsurface: Subsurface | None = None
+    """Light that scatters inside; the BRDF is then Lambert."""
+    vertex_colours: bool = False
+    """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
     tangents: Tangents = "horizontal"
     """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
+
+
+GroupName = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^\x00]*$")]
+"""A group of a mesh's faces, as ``understood.groups`` of the registered mesh names it."""
+
+MOST_MATERIALS = 32
+"""Every one is a part of its own, with a bake, a compression and textures."""
+
+Materials = Annotated[dict[GroupName, Material], Field(max_length=MOST_MATERIALS)]
+
+NAMES_SHOWN = 20
+
+
+def material_pointer(name: str, *fields: str) -> str:
+    """Return the JSON pointer to a group's material in a request, or to a field of it."""
+    step = name.replace("~", "~0").replace("/", "~1")
+    return "/".join(["/materials", step, *fields])
+
+
+def require_groups(names: Iterable[str], groups: Sequence[str]) -> None:
+    """Refuse a material for a group that a mesh does not have.
+
+    Raises
+    ------
+    SettingsError
+        Naming the groups that there are.
+    """
+    for name in names:
+        if name in groups:
+            continue
+        shown = ", ".join(repr(group) for group in groups[:NAMES_SHOWN])
+        if len(groups) > NAMES_SHOWN:
+            shown += f" and {len(groups) - NAMES_SHOWN} more"
+        raise SettingsError(
+            f"the mesh has no group of faces {name!r}; "
+            + (f"it has: {shown}" if groups else "it has none at all"),
+            pointer=material_pointer(name),
+        )

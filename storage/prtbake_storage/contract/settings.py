@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from prtbake_storage.contract.base import Positive, Vec3, Wire
+from prtbake_storage.contract.base import Digest, Positive, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
@@ -39,7 +39,8 @@ class Effects(Wire):
 class ReceiverPlane(Wire):
     """A plane under the object, ``extent`` object diagonals wide.
 
-    It is diffuse, of an ``albedo`` of one number or three, or has a ``brdf`` of its own.
+    It is diffuse, of an ``albedo`` of one number or three, or has a ``brdf`` of its own.  A texture
+    lies across it once, upright as seen from above with -z away from the viewer.
     """
 
     resolution: Annotated[int, Field(ge=2, le=1024)] = 64
@@ -52,6 +53,10 @@ class ReceiverPlane(Wire):
     """Diffuse reflectance."""
     brdf: BrdfSpec | None = None
     """Takes the place of `albedo`; x of its frames is that of the scene."""
+    albedo_texture: Digest | None = None
+    """Multiplies the diffuse reflectance."""
+    texture_repeats: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
+    """How often the texture lies across each side."""
 
 
 class BakeSettings(Wire):

@@ -29,6 +29,9 @@ I32 = NDArray[np.int32]
 
 Method = Literal["cta", "cpca"]
 
+Role = Literal["object", "receiver"]
+"""What a part is in its scene: all or some of the object, or what that stands on."""
+
 CHANNEL_COUNTS = (1, 3)
 """Transfer is the same for all colours, or differs in red, green and blue."""
 
@@ -40,7 +43,7 @@ class Surface:
     Parameters
     ----------
     name
-        What the part is: ``object``, ``receiver``.
+        ``object``, ``receiver``, or the groups of faces that the part is made of.
     vertex_range
         First vertex and one past the last, in the mesh's numbering.
     material
@@ -56,6 +59,8 @@ class Surface:
         The BRDF's separable tables, for whoever wants to evaluate phi without the texture.
     n_channels
         1, or 3 where transfer differs by the colour of the light.
+    role
+        The object may have several parts: they shadow each other as one shape.
     """
 
     name: str
@@ -66,6 +71,7 @@ class Surface:
     vertex_colours: F32 | None = None
     factorisation: Mapping[str, Any] | None = None
     n_channels: int = 1
+    role: Role = "object"
 
     @property
     def n_vertices(self) -> int:
@@ -170,6 +176,12 @@ class Asset:
     def n_coeffs(self) -> int:
         """SRBF centres."""
         return int(self.centres.shape[0])
+
+    @property
+    def object_ranges(self) -> list[tuple[int, int]]:
+        """Vertex ranges of the object's parts; of all parts where none is the object's."""
+        own = [part.vertex_range for part in self.parts if part.role == "object"]
+        return own or [part.vertex_range for part in self.parts]
 
     @property
     def part_of_vertex(self) -> I32:

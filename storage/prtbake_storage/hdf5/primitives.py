@@ -145,6 +145,14 @@ def attribute(owner: h5py.Group | h5py.Dataset, name: str) -> Any:
     return value
 
 
+def has_attribute(owner: h5py.Group | h5py.Dataset, name: str) -> bool:
+    """Whether there is an attribute of that name."""
+    try:
+        return name in owner.attrs
+    except (OSError, RuntimeError) as error:
+        raise CorruptArtefact(f"{owner.name}: its attributes cannot be listed") from error
+
+
 def child(parent: h5py.Group, name: str) -> h5py.Group:
     """Return a sub-group that lies in this very file."""
     found = _member(parent, name)

@@ -22,8 +22,9 @@ I32 = NDArray[np.int32]
 class MeshFile:
     """A repaired mesh: positions (verts, 3), faces (tris, 3), unit normals, uv (verts, 2) or None.
 
-    ``report`` is what parsing found and mended; ``colours`` (verts, 3) are linear Rec.709 in
-    [0, 1], or None.
+    ``colours`` (verts, 3) are linear Rec.709 in [0, 1], or None; ``face_groups`` (tris,) indices
+    of ``group_names``, None where the file tells no groups; ``report`` is what parsing found and
+    mended.
     """
 
     positions: F64
@@ -32,6 +33,8 @@ class MeshFile:
     uv: F64 | None
     report: Mapping[str, Any] = field(default_factory=dict)
     colours: F32 | None = None
+    face_groups: I32 | None = None
+    group_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,10 @@ def write_mesh(path: Path, mesh: MeshFile) -> None:
     with h5.new_file(path, "mesh") as file:
         put_mesh(file, mesh.positions, mesh.faces, mesh.normals, mesh.uv)
         put_colours(h5.child(file, "mesh"), "colours", mesh.colours)
+        if mesh.face_groups is not None:
+            group = h5.child(file, "mesh")
+            h5.put(group, "face_groups", mesh.face_groups.astype(np.int32), "tris")
+            h5.put_json(group, "group_names", list(mesh.group_names))
         h5.put_json(file, "provenance", dict(mesh.report))
 
 
@@ -62,7 +69,25 @@ def read_mesh(path: Path) -> MeshFile:
         positions, faces, normals, uv = get_mesh(file)
         colours = get_colours(h5.child(file, "mesh"), "colours", len(positions))
         report = h5.get_object(file, "provenance")
-    return MeshFile(positions, faces, normals, uv, report, colours)
+        face_groups, names = _get_groups(h5.child(file, "mesh"), len(faces))
+    return MeshFile(positions, faces, normals, uv, report, colours, face_groups, names)
+
+
+def _get_groups(group: Any, n_faces: int) -> tuple[I32 | None, tuple[str, ...]]:
+    if not h5.has(group, "face_groups"):
+        return None, ()
+    face_groups: I32 = h5.get(group, "face_groups", "i", (n_faces,)).astype(np.int32)
+    names = h5.get_json(group, "group_names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise CorruptArtefact("/mesh/group_names are not a list of names")
+    if len(set(names)) < len(names):
+        raise CorruptArtefact("/mesh/group_names are not distinct")
+    bad = np.flatnonzero((face_groups < 0) | (face_groups >= len(names)))
+    if bad.size:
+        raise CorruptArtefact(
+            f"/mesh/face_groups: triangle {bad[0]} names a group outside [0, {len(names)})"
+        )
+    return face_groups, tuple(names)
 
 
 def write_environment(path: Path, environment: EnvironmentFile) -> None:

@@ -4,12 +4,12 @@
 
     /                 attributes format="prtbake", version, kind (one of KINDS)
     /provenance       JSON text: input digests, settings, seeds, versions, plan
-    /mesh/            positions normals faces uv, and colours of a registered mesh
+    /mesh/            positions normals faces uv; of kind mesh also colours face_groups group_names
     /basis/           centres; attributes kernel, bandwidth
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation
-    /parts/<i>/       attributes name, vertex_start, vertex_stop, n_channels, method
+    /parts/<i>/       attributes name, role, vertex_start, vertex_stop, n_channels, method
         material      JSON text
         albedo albedo_texture vertex_colours factorisation/
         clusters/     labels ranks light_bases dual_bases means components

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import CHANNEL_COUNTS, Surface
+from prtbake_storage.decode.asset import CHANNEL_COUNTS, Role, Surface
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.resources import get_colours, put_colours
@@ -16,10 +16,11 @@ F32 = NDArray[np.float32]
 
 
 def put_surface(group: h5py.Group, surface: Surface) -> None:
-    """Write a part's name, range, material, albedo, factorisation and channels of transfer."""
+    """Write a part's name, role, range, material, albedo, factorisation and n_channels."""
     if surface.n_channels not in CHANNEL_COUNTS:
         raise ValueError(f"{surface.name}: n_channels is {surface.n_channels}, not 1 or 3")
     h5.set_attribute(group, "name", surface.name)
+    h5.set_attribute(group, "role", surface.role)
     h5.set_attribute(group, "vertex_start", surface.vertex_range[0])
     h5.set_attribute(group, "vertex_stop", surface.vertex_range[1])
     h5.set_attribute(group, "n_channels", surface.n_channels)
@@ -41,6 +42,7 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
     n_channels = h5.attribute(group, "n_channels")
     if not isinstance(n_channels, int) or n_channels not in CHANNEL_COUNTS:
         raise CorruptArtefact(f"{group.name}: n_channels is {n_channels!r}, not 1 or 3")
+    name = str(h5.attribute(group, "name"))
     albedo: F32 = h5.get(group, "albedo", "f", (None,)).astype(np.float32)
     if albedo.shape not in {(1,), (3,)}:
         raise CorruptArtefact(f"{group.name}/albedo has shape {albedo.shape}, not (1,) or (3,)")
@@ -51,7 +53,8 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
     if h5.has(group, "factorisation"):
         tables = get_tables(h5.child(group, "factorisation"))
     return {
-        "name": str(h5.attribute(group, "name")),
+        "name": name,
+        "role": _role(group, name),
         "vertex_range": (start, stop),
         "material": h5.get_object(group, "material"),
         "albedo": albedo,
@@ -60,6 +63,18 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
         "factorisation": tables,
         "n_channels": n_channels,
     }
+
+
+def _role(group: h5py.Group, name: str) -> Role:
+    """Read the role; files from before there were several parts to an object tell it by name."""
+    if not h5.has_attribute(group, "role"):
+        return "receiver" if name == "receiver" else "object"
+    role = h5.attribute(group, "role")
+    if role == "object":
+        return "object"
+    if role == "receiver":
+        return "receiver"
+    raise CorruptArtefact(f"{group.name}: role is {role!r}, not 'object' or 'receiver'")
 
 
 def put_tables(group: h5py.Group, tables: Mapping[str, Any]) -> None:

@@ -40,8 +40,9 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
     -------
     RawMesh
         All parts in one, each under its transform in the scene; a mirrored part is turned over
-        so that its outside stays outside.  The normals that an STL gives are those of its facets:
-        they tell nothing about vertices, and are not read.
+        so that its outside stays outside.  Those of a GLB are grouped, see `group_primitives`.
+        The normals that an STL gives are those of its facets: they tell nothing about vertices,
+        and are not read.
 
     Raises
     ------
@@ -51,6 +52,8 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
         It declares more than the limits allow.
     """
     notes: list[str] = []
+    groups: dict[str, int] = {}
+    group_names: list[str] = []
     if format == "ply":
         check_ply(data, limits)
     elif format == "stl":
@@ -58,15 +61,16 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
     elif format == "off":
         check_off(data, limits)
     else:
-        data, notes = guard_glb(data, limits)
+        data, notes, groups, group_names = guard_glb(data, limits)
     parts = _read_parts(data, format)
     positions: list[F64] = []
     faces: list[I64] = []
     uvs: list[F64] = []
     normals: list[F64] = []
     colours: list[RawColours | None] = []
+    part_groups: list[int] = []
     n_vertices = 0
-    for mesh, transform in parts:
+    for name, mesh, transform in parts:
         points = np.asarray(mesh.vertices, np.float64)
         triangles = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64)
         if not triangles.size:
@@ -94,6 +98,7 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
             colours.append(off_colours(data))
         else:
             colours.append(glb_colours(mesh, len(points)))
+        part_groups.append(groups.get(name, 0))
         n_vertices += len(points)
     if not positions:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), warnings=notes)
@@ -106,11 +111,15 @@ def read_foreign(data: bytes, format: str, limits: MeshLimits) -> RawMesh:
         warnings=notes,
         normals=normal if np.isfinite(normal).any() else None,
         colours=join_colours(colours, [len(part) for part in positions]),
+        face_groups=np.repeat(np.array(part_groups, np.int64), [len(part) for part in faces])
+        if groups
+        else None,
+        group_names=group_names,
     )
 
 
-def _read_parts(data: bytes, format: str) -> list[tuple[Any, F64]]:
-    """Run trimesh; the meshes and their world transforms, in the order of the file."""
+def _read_parts(data: bytes, format: str) -> list[tuple[str, Any, F64]]:
+    """Run trimesh; name, mesh and world transform of each part, in the order of the file."""
     # materials bring pictures; the guard has taken them from a GLB
     options: dict[str, Any] = {} if format == "glb" else {"skip_materials": True}
     try:
@@ -126,7 +135,7 @@ def _read_parts(data: bytes, format: str) -> list[tuple[Any, F64]]:
                 mesh = scene.geometry[name]
                 # a cloud of points counts, so that the refusal can say what the file holds
                 if isinstance(mesh, trimesh.Trimesh | trimesh.PointCloud):
-                    parts.append((mesh, np.asarray(transform, np.float64)))
+                    parts.append((str(name), mesh, np.asarray(transform, np.float64)))
                 if format == "ply":
                     check_ply_lists(mesh)
     except (*_READ_ERRORS, DeprecationWarning) as error:

@@ -9,9 +9,10 @@ rewritten so that it is read right.
 
 import json
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 from prtbake_storage.errors import MeshError, TooLarge
+from prtbake_workers.geometry.glb_groups import Primitive, group_primitives
 from prtbake_workers.geometry.raw_mesh import MeshLimits
 
 UV_ATTRIBUTE = "_PRTBAKE_UV"
@@ -40,13 +41,22 @@ _COLOUR_COMPONENTS = (5121, 5123, 5126)
 format demands it [Khronos2021]_ 3.7.2.1."""
 
 
-def guard_glb(data: bytes, limits: MeshLimits) -> tuple[bytes, list[str]]:
-    """Rewrite a GLB file down to nodes, triangles and the buffers they use.
+class GuardedGlb(NamedTuple):
+    """What `guard_glb` leaves of a file.
 
-    Returns
-    -------
-    data, warnings
-        A GLB file with the same geometry and nothing else, and what was left out.
+    ``data`` is a GLB file with the same geometry and nothing else, ``warnings`` what was left out.
+    ``groups`` gives the group of the primitives by the names that trimesh calls them by, an index
+    of ``group_names``.
+    """
+
+    data: bytes
+    warnings: list[str]
+    groups: dict[str, int]
+    group_names: list[str]
+
+
+def guard_glb(data: bytes, limits: MeshLimits) -> GuardedGlb:
+    """Rewrite a GLB file down to nodes, triangles and the buffers they use.
 
     Raises
     ------
@@ -66,13 +76,15 @@ def guard_glb(data: bytes, limits: MeshLimits) -> tuple[bytes, list[str]]:
     warnings: list[str] = []
     accessors = _list(header, "accessors")
     meshes = []
+    sources: list[Primitive] = []
     for index, mesh in enumerate(_list(header, "meshes")):
-        primitives = [
-            kept
-            for place, primitive in enumerate(_list(mesh, "primitives"))
-            if (kept := _keep_primitive(primitive, f"meshes[{index}].primitives[{place}]",
-                                        header, len(binary), warnings))
-        ]  # fmt: skip
+        primitives: list[dict[str, Any]] = []
+        for place, primitive in enumerate(_list(mesh, "primitives")):
+            where = f"meshes[{index}].primitives[{place}]"
+            kept = _keep_primitive(primitive, where, header, len(binary), warnings)
+            if kept is not None:
+                sources.append(Primitive(index, len(primitives), primitive.get("material")))
+                primitives.append(kept)
         meshes.append({"name": f"mesh{index}", "primitives": primitives})
     nodes = _keep_nodes(header, meshes, accessors, limits)
     accessors, views = _keep_used(header, meshes, len(binary), limits)
@@ -91,12 +103,13 @@ def guard_glb(data: bytes, limits: MeshLimits) -> tuple[bytes, list[str]]:
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
-    return (
+    rewritten = (
         struct.pack("<5I", _MAGIC, 2, total, len(text), _JSON)
         + text
         + struct.pack("<2I", len(binary), _BIN)
         + binary
-    ), warnings
+    )
+    return GuardedGlb(rewritten, warnings, *group_primitives(header, sources))
 
 
 def _split_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

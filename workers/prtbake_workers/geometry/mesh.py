@@ -26,6 +26,10 @@ class Mesh:
         Texture coordinates, origin at the lower left, or None.
     colours
         Linear Rec.709 in [0, 1], or None.
+    face_groups
+        Group of each triangle, an index of ``group_names``; None where there are no groups.
+    group_names
+        Distinct names, every one with a triangle.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -33,6 +37,8 @@ class Mesh:
     normals: Float64[F64, "verts 3"]
     uv: Float64[F64, "verts 2"] | None = None
     colours: Float32[F32, "verts 3"] | None = None
+    face_groups: Int32[I32, " tris"] | None = None
+    group_names: tuple[str, ...] = ()
 
     @property
     def n_vertices(self) -> int:

@@ -16,7 +16,9 @@ class MeshReport:
     used, ``vertices_without_normal`` had none, and ``turned_normals`` had one that was turned over
     with all the faces there.  ``vertex_colours`` says that the mesh has usable ones, which
     ``colour_encoding`` of the file was read as sRGB codes or as linear; ``colour_split_vertices``
-    are those beyond one a position, texture coordinate and normal that they call for.
+    are those beyond one a position, texture coordinate and normal that they call for.  ``groups``
+    are the groups of faces that can have a material of their own: ``name`` and number of ``faces``;
+    none where the file tells none.
     """
 
     format: str = ""
@@ -55,6 +57,7 @@ class MeshReport:
     watertight: bool = False
     orientable: bool = True
     extents: list[float] = field(default_factory=list)
+    groups: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: the lines ``v``, ``vt``, ``vn`` and ``f``; everything else is passed over.
+"""Wavefront OBJ: the lines ``v``, ``vt``, ``vn``, ``f`` and ``usemtl``; all else is passed over.
 
 Own reader, because trimesh refuses relative indices, drops the line number from its messages and
 follows ``mtllib``.  No other file is ever opened from here.
@@ -39,6 +39,8 @@ class _Contents:
         self.counts = array("q")
         self.lines = array("q")
         self.short_faces: list[int] = []
+        self.group_names: dict[str, int] = {}
+        self.groups = array("q")
 
 
 def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
@@ -55,10 +57,10 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
     -------
     RawMesh
         Polygons cut into triangles, relative (negative) indices resolved, vertices split by
-        texture coordinate and normal.  Materials and groups are not read.  Colours, ``v x y z r g
-        b``, are taken as sRGB codes, which is what Blender and MeshLab write; the format does not
-        say.  A normal or colour that cannot be read does not make the file unreadable: the repair
-        computes normals and leaves colours out.
+        texture coordinate and normal.  Faces are grouped by the name of their material; no material
+        is read.  Colours, ``v x y z r g b``, are taken as sRGB codes, which is what Blender and
+        MeshLab write; the format does not say.  A normal or colour that cannot be read does not
+        make the file unreadable: the repair computes normals and leaves colours out.
 
     Raises
     ------
@@ -78,8 +80,9 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
     has_uv = corner_uv != _NONE
     _check_indices(corner_uv[has_uv], len(uv), lines[has_uv], "texture coordinate")
     limits.check(triangles=int((counts - 2).sum()))
-    triangles, _ = triangulate(positions, corners, counts)
+    triangles, polygon = triangulate(positions, corners, counts)
 
+    has_groups = list(contents.group_names) != [""]
     warnings = []
     if contents.short_faces:
         warnings.append(
@@ -101,6 +104,8 @@ def read_obj(data: bytes, limits: MeshLimits) -> RawMesh:
         warnings=warnings,
         normals=np.vstack([normals, [np.nan] * 3])[normal_of] if len(normals) else None,
         colours=None if (colours := _colours(contents)) is None else colours.take(label),
+        face_groups=np.frombuffer(contents.groups, np.int64)[polygon] if has_groups else None,
+        group_names=list(contents.group_names),
     )
 
 
@@ -169,6 +174,7 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
     contents = _Contents()
     positions, uvs, normals = contents.positions, contents.uv, contents.normals
     n_positions = n_uvs = n_normals = 0
+    group_names, material = contents.group_names, ""
     for number, words in _split_lines(data):
         keyword, values = words[0], words[1:]
         try:
@@ -217,6 +223,9 @@ def _read_lines(data: bytes, limits: MeshLimits) -> _Contents:
                         contents.corner_normals.append(_NONE)
                 contents.counts.append(len(values))
                 contents.lines.append(number)
+                contents.groups.append(group_names.setdefault(material, len(group_names)))
+            elif keyword == "usemtl":
+                material = " ".join(values)
         except PrtError:
             raise
         except (ValueError, OverflowError):
@@ -238,9 +247,11 @@ def _read_three(values: list[str], instead: float) -> tuple[float, float, float]
 def _split_lines(data: bytes) -> Iterator[tuple[int, list[str]]]:
     """Give number and words of each line; a backslash at its end joins the next one to it."""
     pending: list[str] = []
-    # latin-1 reads any byte; only names and comments hold bytes beyond ASCII
-    for number, line in enumerate(data.decode("latin-1").splitlines(), start=1):
-        if "#" in line:
+    for number, row in enumerate(data.splitlines(), start=1):
+        # only names and comments hold bytes beyond ASCII
+        line = row.decode("utf-8", "replace")
+        # materials are often called material#1
+        if "#" in line and not line.lstrip().startswith("usemtl"):
             line = line[: line.index("#")]
         words = line.split()
         if words and words[-1].endswith("\\"):

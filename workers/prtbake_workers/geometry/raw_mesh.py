@@ -1,5 +1,6 @@
 """What a reader hands to the repair: triangles as the file has them, and what it left out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from prtbake_storage.errors import MeshError, TooLarge
@@ -59,6 +60,10 @@ class RawMesh:
         is not finite; None where no vertex has any.
     colours
         Vertex colours; None where no vertex has any.
+    face_groups
+        Group of each triangle, an index of ``group_names``; None where the file has no groups.
+    group_names
+        As in the file: `settle_groups` makes them legal.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -70,3 +75,5 @@ class RawMesh:
     warnings: list[str] = field(default_factory=list)
     normals: Float64[F64, "verts 3"] | None = None
     colours: RawColours | None = None
+    face_groups: Int64[I64, " tris"] | None = None
+    group_names: Sequence[str] = ()

@@ -48,15 +48,27 @@ def ray_epsilon(bounds: Float64[F64, "2 3"]) -> float:
     return EPSILON_STEPS * float(np.finfo(np.float32).eps) * size
 
 
+def same_vertices(
+    positions: Float64[F64, "verts 3"],
+    normals: Float64[F64, "verts 3"],
+    body: Int64[I64, " verts"],
+) -> tuple[Int64[I64, " verts"], Int64[I64, " distinct"]]:
+    """Group the vertices by body, position and normal, see `group_rows`.
+
+    Where a surface was cut the vertices of both sides are one to a ray, whatever else they have.
+    """
+    return group_rows(np.column_stack([body, positions, normals]))
+
+
 def ray_sides(
     positions: Float64[F64, "verts 3"],
     faces: Int[I32 | I64, "tris 3"],
     normals: Float64[F64, "verts 3"],
-    part: Int64[I64, " verts"],
+    body: Int64[I64, " verts"],
 ) -> Float64[F64, "verts 3"]:
     """Give the direction in which each vertex leaves the surface.
 
-    That is its normal.  Where several vertices lie at one position of a part, joined by edges and
+    That is its normal.  Where several vertices lie at one position of a body, joined by edges and
     with normals of their own, it is the mean of these, weighted by the corners' angles: on the
     edge between floor and wall the floor's normal leads along the wall, and rays that start in
     its plane would pass it.
@@ -65,8 +77,8 @@ def ray_sides(
     ----------
     positions, faces, normals
         The scene.
-    part
-        Part of each vertex; parts that touch stay apart.
+    body
+        Body of each vertex; bodies that touch stay apart.
 
     Returns
     -------
@@ -74,7 +86,7 @@ def ray_sides(
         Unit vectors; the normals themselves, to the last bit, where no split is.  Also where the
         mean lies off the normal by more than `MIN_SIDE_COSINE` says, as at the rim of a sheet.
     """
-    place, first = group_rows(np.column_stack([part, positions]))
+    place, first = group_rows(np.column_stack([body, positions]))
     if len(first) == len(positions):
         return normals
     edges = find_edges(place[faces])
@@ -106,7 +118,7 @@ def inset_boundary(
     positions: Float64[F64, "verts 3"],
     faces: Int[I32 | I64, "tris 3"],
     normals: Float64[F64, "verts 3"],
-    part: Int64[I64, " verts"],
+    body: Int64[I64, " verts"],
     distance: float,
 ) -> Float64[F64, "verts 3"]:
     """Move the vertices on open edges towards the middle of their triangles.
@@ -120,8 +132,9 @@ def inset_boundary(
     ----------
     positions, faces, normals
         The surface.
-    part
-        Part of each vertex.  Vertices at one position of a part are one: a seam is no open edge.
+    body
+        Body of each vertex.  Vertices at one position of a body are one: a seam, or a border of two
+        of its parts, is no open edge.
     distance
         How far, in scene units.
 
@@ -130,7 +143,7 @@ def inset_boundary(
     array
         Positions; vertices that are on no open edge stay where they are.
     """
-    place, first = group_rows(np.column_stack([part, positions]))
+    place, first = group_rows(np.column_stack([body, positions]))
     edges = find_edges(place[faces])
     half = np.flatnonzero(edges.n_faces_at[edges.edge_of] == 1)
     if len(half) == 0:
@@ -143,14 +156,17 @@ def inset_boundary(
     near = faces[own]
     area = np.linalg.norm(face_area_vectors(positions, near), axis=1)
     pull = area[:, None] * positions[near].mean(axis=1)
+    # a vertex that was cut in two moves as one
+    vertex, _ = same_vertices(positions, normals, body)
+    corner = vertex[near].ravel()
     inward: F64 = np.stack(
         [
-            np.bincount(near.ravel(), np.repeat(pull[:, axis], 3), minlength=len(positions))
+            np.bincount(corner, np.repeat(pull[:, axis], 3), minlength=len(positions))
             for axis in range(3)
         ],
         axis=1,
-    ).astype(np.float64)
-    weight = np.bincount(near.ravel(), np.repeat(area, 3), minlength=len(positions))
+    ).astype(np.float64)[vertex]
+    weight = np.bincount(corner, np.repeat(area, 3), minlength=len(positions))[vertex]
     inward -= weight[:, None] * positions
     # never down into the surface; up is where a concave one opens
     inward -= np.minimum((inward * normals).sum(axis=1), 0.0)[:, None] * normals

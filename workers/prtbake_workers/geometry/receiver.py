@@ -9,7 +9,12 @@ from prtbake_workers.geometry.primitives import grid_mesh
 
 
 def receiver_plane(
-    bounds: Float64[F64, "2 3"], *, resolution: int, extent: float, gap: float
+    bounds: Float64[F64, "2 3"],
+    *,
+    resolution: int,
+    extent: float,
+    gap: float,
+    texture_repeats: float = 1.0,
 ) -> Mesh:
     """Make a square plane below the bounding box, centred on it, with normal +y.
 
@@ -23,6 +28,8 @@ def receiver_plane(
         Length of a side in diagonals of the bounding box.
     gap
         Distance below the box, in diagonals too; 0 lets the object stand on the plane.
+    texture_repeats
+        How often a texture lies across each side.
     """
     if resolution < 2:
         raise SettingsError(
@@ -36,4 +43,6 @@ def receiver_plane(
     unit = grid_mesh(resolution - 1, resolution - 1)
     positions = unit.positions * (extent * diagonal)
     positions += [centre[0], bounds[0, 1] - gap * diagonal, centre[2]]
-    return Mesh(positions, unit.faces, unit.normals, unit.uv)
+    assert unit.uv is not None  # a grid has them
+    uv = unit.uv * texture_repeats
+    return Mesh(positions, unit.faces, unit.normals, uv)

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prtbake_storage.errors import MeshError, SettingsError
-from prtbake_workers.arrays import B8, F32, F64, I64
+from prtbake_workers.arrays import B8, F32, F64, I32, I64
 from prtbake_workers.geometry.creases import smoothing_groups, split_corners
+from prtbake_workers.geometry.face_groups import settle_groups
 from prtbake_workers.geometry.given_normals import complete_normals, settle_normals, unit_normals
 from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.mesh import Mesh, face_area_vectors, vertex_normals
@@ -67,7 +68,7 @@ def repair(
     In this order: refuse positions that are not finite; drop unreferenced vertices; merge
     vertices of equal position, texture coordinate, normal and colour; drop degenerate faces, then
     all but the first of faces with the same three positions; make the winding of each piece
-    consistent and that of closed pieces outward; see to the normals.
+    consistent and that of closed pieces outward; see to the normals.  Faces keep their groups.
 
     Parameters
     ----------
@@ -106,7 +107,8 @@ def repair(
     _refuse_unusable(raw)
     vertices, faces = _drop_unreferenced(raw, report, with_normals=crease_angle_deg is None)
     vertices, faces = _merge_duplicates(vertices, faces, report)
-    faces = _drop_bad_faces(vertices.positions, faces, report)
+    kept = _usable_faces(vertices.positions, faces, report)
+    faces = faces[kept]
     if not len(faces):
         raise MeshError(
             f"no usable triangle: all {report.n_file_triangles} of the file have no area"
@@ -129,8 +131,11 @@ def repair(
     report.extents = [float(x) for x in positions.max(axis=0) - positions.min(axis=0)]
     report.n_vertices, report.n_faces = len(positions), len(faces)
     report.has_uv = vertices.uv is not None
+    of_face, names = _groups(raw, kept, report)
     report.warn()
-    mesh = Mesh(positions, faces.astype(np.int32), normals, vertices.uv, vertices.colours)
+    mesh = Mesh(
+        positions, faces.astype(np.int32), normals, vertices.uv, vertices.colours, of_face, names
+    )
     return mesh, report
 
 
@@ -242,7 +247,8 @@ def _merge_duplicates(vertices: _Vertices, faces: I64, report: MeshReport) -> tu
     return replace(vertices.take(first), copies=copies), group[faces]
 
 
-def _drop_bad_faces(positions: F64, faces: I64, report: MeshReport) -> I64:
+def _usable_faces(positions: F64, faces: I64, report: MeshReport) -> I64:
+    """Find the faces that have an area and are the first at their three positions."""
     place, _ = group_rows(positions)
     by_place = place[faces]
     corners = positions[faces]
@@ -252,12 +258,26 @@ def _drop_bad_faces(positions: F64, faces: I64, report: MeshReport) -> I64:
     flat: B8 = double_area <= DEGENERATE_HEIGHT * diagonal * edges.max(axis=1)
     flat = flat | (by_place == np.roll(by_place, 1, axis=1)).any(axis=1)
     report.degenerate_faces = int(np.count_nonzero(flat))
-    faces, by_place = faces[~flat], np.sort(by_place[~flat], axis=1)
-    if len(faces):
-        _, first = np.unique(by_place, axis=0, return_index=True)
-        report.duplicate_faces = len(faces) - len(first)
-        faces = faces[np.sort(first)]
-    return faces
+    kept: I64 = np.flatnonzero(~flat)
+    if len(kept):
+        _, first = np.unique(np.sort(by_place[kept], axis=1), axis=0, return_index=True)
+        report.duplicate_faces = len(kept) - len(first)
+        kept = kept[np.sort(first)]
+    return kept
+
+
+def _groups(raw: RawMesh, kept: I64, report: MeshReport) -> tuple[I32 | None, tuple[str, ...]]:
+    """Name the groups of the faces that are left, and count them."""
+    if raw.face_groups is None:
+        return None, ()
+    settled = settle_groups(raw.group_names, raw.face_groups[kept])
+    counts = np.bincount(settled.of_face)
+    report.groups = [
+        {"name": name, "faces": int(count)}
+        for name, count in zip(settled.names, counts, strict=True)
+    ]
+    report.warnings += settled.warnings
+    return settled.of_face, settled.names
 
 
 def _choose_winding(

@@ -6,10 +6,22 @@ from functools import cached_property
 
 import numpy as np
 
+from prtbake_storage.decode.asset import Role
 from prtbake_workers.arrays import F64, I32, I64, Float64, Int32, Int64
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh
-from prtbake_workers.geometry.ray_offset import INSET, inset_boundary, ray_epsilon, ray_sides
+from prtbake_workers.geometry.ray_offset import (
+    INSET,
+    inset_boundary,
+    ray_epsilon,
+    ray_sides,
+    same_vertices,
+)
+
+
+def bodies_of(roles: Sequence[Role]) -> tuple[int, ...]:
+    """Say which parts are one surface: those of the object are, a receiver is one by itself."""
+    return tuple(0 if role == "object" else 1 + part for part, role in enumerate(roles))
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +42,9 @@ class Scene:
         First and one past the last vertex of each part.
     part_of_face
         Part of each triangle.
+    bodies
+        Body of each part.  Parts of one body are a surface that was cut: where they meet is neither
+        an edge nor a crease.  None where every part is a body.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -40,6 +55,7 @@ class Scene:
     uv: Float64[F64, "verts 2"] | None
     part_ranges: tuple[tuple[int, int], ...]
     part_of_face: Int32[I32, " tris"]
+    bodies: tuple[int, ...] | None = None
 
     @classmethod
     def from_parts(
@@ -47,6 +63,7 @@ class Scene:
         parts: Sequence[Mesh],
         frame_seed: int | None = None,
         frames: Sequence[Float64[F64, "_ 3 3"] | None] | None = None,
+        bodies: tuple[int, ...] | None = None,
     ) -> "Scene":
         """Join meshes.
 
@@ -57,6 +74,8 @@ class Scene:
         frames
             For each part the frames that its BRDF is read in, which nothing turns; None where any
             will do.
+        bodies
+            Of the parts, see the attribute.
         """
         if not parts:
             raise ValueError("a scene needs at least one part")
@@ -88,6 +107,7 @@ class Scene:
             part_of_face=np.repeat(
                 np.arange(len(parts), dtype=np.int32), [part.n_faces for part in parts]
             ),
+            bodies=bodies,
         )
 
     def part(self, index: int) -> "Scene":
@@ -115,7 +135,7 @@ class Scene:
         """Where the rays of each vertex start, before the offset along its normal."""
         distance = INSET * ray_epsilon(self.bounds)
         return inset_boundary(
-            self.positions, self.faces, self.normals, self._part_of_vertex, distance
+            self.positions, self.faces, self.normals, self._body_of_vertex, distance
         )
 
     @cached_property
@@ -126,12 +146,22 @@ class Scene:
     @cached_property
     def ray_sides(self) -> Float64[F64, "verts 3"]:
         """Direction in which rays leave each vertex: its normal, or between those of a split."""
-        return ray_sides(self.positions, self.faces, self.normals, self._part_of_vertex)
+        return ray_sides(self.positions, self.faces, self.normals, self._body_of_vertex)
+
+    @cached_property
+    def twins(self) -> Int64[I64, " verts"]:
+        """First vertex of the same body with the same position and normal: mostly itself.
+
+        The vertices that a border of parts, or a seam of texture coordinates, makes of one.
+        """
+        twin, first = same_vertices(self.positions, self.normals, self._body_of_vertex)
+        return first[twin]
 
     @property
-    def _part_of_vertex(self) -> Int64[I64, " verts"]:
+    def _body_of_vertex(self) -> Int64[I64, " verts"]:
         sizes = [stop - start for start, stop in self.part_ranges]
-        return np.repeat(np.arange(len(sizes), dtype=np.int64), sizes)
+        bodies = range(len(sizes)) if self.bodies is None else self.bodies
+        return np.repeat(np.array(bodies, np.int64), sizes)
 
     @property
     def n_vertices(self) -> int:

@@ -9,7 +9,7 @@ from math import comb
 
 import numpy as np
 
-from prtbake_workers.arrays import F64, I64
+from prtbake_workers.arrays import B8, F64, I64
 from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.mesh import Mesh, vertex_normals
 
@@ -23,6 +23,8 @@ _RINGS = (
     ((0.0, 3.15, 0.0), (0.8, 3.15, 0.45), (0.0, 2.85, 0.0), (0.2, 2.7, 0.112)),
     ((0.2, 2.7, 0.112), (0.4, 2.55, 0.224), (1.3, 2.55, 0.728), (1.3, 2.4, 0.728)),
 )
+
+_FIRST_LID_RING = 4
 
 # tubes, half of each: rows of (inner x, inner height, outer x, outer height, half width)
 _HANDLE = (
@@ -53,7 +55,8 @@ def teapot(tessellation: int) -> Mesh:
     Mesh
         y up, standing on y = 0, spout along +x, 6.43 x 3.15 x 4 units; the surface of revolution,
         the lid, the handle and the spout are not joined, as in the original (handle and spout
-        pierce the body).  No triangle is degenerate, and all face outwards.
+        pierce the body).  Each of the four is a group of faces.  No triangle is degenerate, and all
+        face outwards.
 
     Notes
     -----
@@ -70,11 +73,15 @@ def teapot(tessellation: int) -> Mesh:
     )
     # half a tube that is one quad across would be flat
     across = max(tessellation, 2)
-    parts = []
+    parts: list[Mesh] = []
+    groups: list[B8 | I64] = []
     # welding stops at these three: the handle touches the body in one point
     for patches, cells in ((revolved, tessellation), (handle, across), (spout, across)):
-        points, sums, triangles = _weld([_evaluate(patch, cells) for patch in patches])
+        points, sums, triangles, patch = _weld([_evaluate(patch, cells) for patch in patches])
         parts.append(_with_normals(points, sums, triangles))
+        # four patches a ring, body and lid; then two tubes
+        own = patch // 4 >= _FIRST_LID_RING
+        groups.append(own if patches is revolved else np.full(len(patch), len(groups) + 1))
     starts = np.cumsum([0] + [part.n_vertices for part in parts[:-1]])
     return Mesh(
         positions=np.concatenate([part.positions for part in parts]),
@@ -82,6 +89,8 @@ def teapot(tessellation: int) -> Mesh:
             [part.faces + start for part, start in zip(parts, starts, strict=True)]
         ).astype(np.int32),
         normals=np.concatenate([part.normals for part in parts]),
+        face_groups=np.concatenate(groups).astype(np.int32),
+        group_names=("body", "lid", "handle", "spout"),
     )
 
 
@@ -140,8 +149,8 @@ def _evaluate(control: F64, tessellation: int) -> tuple[F64, F64]:
     return exact / float(_DECIMALS * t**6), normals
 
 
-def _weld(grids: list[tuple[F64, F64]]) -> tuple[F64, F64, I64]:
-    """Join the grids at equal points: points, sums of normals, and two triangles a cell.
+def _weld(grids: list[tuple[F64, F64]]) -> tuple[F64, F64, I64, I64]:
+    """Join the grids at equal points: points, sums of normals, two triangles a cell, their grids.
 
     Triangles that collapse are left out.
     """
@@ -156,7 +165,8 @@ def _weld(grids: list[tuple[F64, F64]]) -> tuple[F64, F64, I64]:
     c, d = index[:, 1:, 1:].ravel(), index[:, :-1, 1:].ravel()
     triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1).reshape(-1, 3)
     collapsed = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    return points[first], sums, triangles[~collapsed]
+    grid_of = np.repeat(np.arange(len(grids)), 2 * (n - 1) ** 2)
+    return points[first], sums, triangles[~collapsed], grid_of[~collapsed]
 
 
 def _with_normals(points: F64, sums: F64, triangles: I64) -> Mesh:

@@ -155,6 +155,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         parts.append(
             TransferPart(
                 name=part["name"],
+                role=part["role"],
                 vertex_range=(start, stop),
                 material=part["material"],
                 areas=scene.areas[start:stop],

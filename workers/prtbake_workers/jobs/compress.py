@@ -100,6 +100,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     parts = [
         {
             "name": part.name,
+            "role": part.role,
             "vertex_range": part.vertex_range,
             "n_terms": part.n_terms,
             "tiles": [],
@@ -251,6 +252,7 @@ def make_part(
         texture = np.einsum("abkc,kr->abrc", phi, arrays["view_basis"]).astype(np.float32)
     joined = Part(
         name=part.name,
+        role=part.role,
         vertex_range=part.vertex_range,
         material=part.material,
         method=method,

@@ -24,7 +24,15 @@ PACKAGES = ("prtbake", "numpy", "scipy", "embreex", "trimesh", "h5py")
 def load_mesh(store: BlobStore, digest: str) -> tuple[Mesh, dict[str, Any]]:
     """Load a registered mesh and what parsing found in it."""
     file = read_mesh(store.local_path(digest))
-    mesh = Mesh(file.positions, file.faces, file.normals, file.uv, file.colours)
+    mesh = Mesh(
+        file.positions,
+        file.faces,
+        file.normals,
+        file.uv,
+        file.colours,
+        file.face_groups,
+        file.group_names,
+    )
     return mesh, dict(file.report)
 
 
@@ -48,12 +56,12 @@ def measured_brdf(file: BrdfFile) -> Brdf:
     return HalfDifferenceTable(file.arrays["values"])
 
 
-def load_texture(store: BlobStore, digest: str) -> F32:
-    """Decode an albedo texture to linear Rec.709, rows from the top."""
+def load_texture(store: BlobStore, digest: str, *, pointer: str) -> F32:
+    """Decode an albedo texture to linear Rec.709, rows from the top; errors have the pointer."""
     try:
         return read_albedo_texture(store.read_bytes(digest))
     except InputError as error:
-        raise InputError(error.detail, pointer="/albedo_texture") from error
+        raise InputError(error.detail, pointer=pointer) from error
 
 
 def versions() -> dict[str, str]:

@@ -1,19 +1,36 @@
 """The parts of a scene before it is planned: triangles, and what they are made of."""
 
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.brdf import LambertSpec
-from prtbake_storage.contract.materials import Tangents
+from prtbake_storage.contract.materials import (
+    Material,
+    Tangents,
+    material_pointer,
+    require_groups,
+)
 from prtbake_storage.contract.settings import ReceiverPlane
+from prtbake_storage.decode.asset import Role
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32
+from prtbake_workers.geometry.face_groups import LONGEST_NAME, distinct_names
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.splitting import split_mesh
 from prtbake_workers.jobs.inputs import load_texture
+
+OBJECT, RECEIVER = "object", "receiver"
+"""Names of the parts that a scene of one material has."""
+
+NAMED_GROUPS = 3
+"""So many groups name a part; of more it has the first and how many they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +54,7 @@ class PartInput:
     """
 
     name: str
-    role: Literal["object", "receiver"]
+    role: Role
     mesh: Mesh
     brdf: dict[str, Any]
     albedo_texture: F32 | None = None
@@ -47,53 +64,106 @@ class PartInput:
 
 
 def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
-    """Make the parts that a plan's arguments describe: the object, then its receiver.
+    """Make the parts that a plan's arguments describe: those of the object, then its receiver.
+
+    Groups of faces of one material are one part, named after them; an object of one material is
+    one part named ``object``.
 
     Raises
     ------
     SettingsError
-        An albedo texture, vertex colours or a medium that nothing can be done with, or tangents
-        along texture coordinates that are not there.
+        A material for a group that the mesh lacks; an albedo texture, vertex colours or a medium
+        that nothing can be done with; tangents along texture coordinates that are not there.
     """
-    texture = None
-    if args["albedo_texture"] is not None:
-        _check_texture(args["brdf"], mesh.uv is not None)
-        texture = load_texture(store, args["albedo_texture"])
-    colours = None
-    if args["vertex_colours"]:
-        _check_colours(args["brdf"], has_colours=mesh.colours is not None)
-        colours = mesh.colours
-    if args["subsurface"] is not None and args["brdf"]["model"] != "lambert":
+    require_groups(args["materials"], mesh.group_names)
+    # what the request says of the whole object has the same fields at its top level
+    default = _material(args)
+    by_group = [
+        _material(args["materials"][name]) if name in args["materials"] else default
+        for name in mesh.group_names
+    ] or [default]
+    keys = [json.dumps(material, sort_keys=True) for material in by_group]
+    distinct = list(dict.fromkeys(keys))
+    part_of_group = np.array([distinct.index(key) for key in keys])
+    meshes = [mesh]
+    if mesh.face_groups is not None and len(distinct) > 1:
+        meshes = split_mesh(mesh, part_of_group[mesh.face_groups])
+    names = [OBJECT]
+    if len(meshes) > 1:
+        groups = [
+            [group for group, key in zip(mesh.group_names, keys, strict=True) if key == own]
+            for own in distinct
+        ]
+        names = part_names(groups)
+    parts = []
+    for name, key, own in zip(names, distinct, meshes, strict=True):
+        material = by_group[keys.index(key)]
+        pointer = ""
+        if material is not default:
+            pointer = material_pointer(mesh.group_names[keys.index(key)])
+        parts.append(_object_part(name, own, material, pointer, store))
+    if args["receiver"] is not None:
+        parts.append(_receiver(ReceiverPlane.model_validate(args["receiver"]), mesh, store))
+    return parts
+
+
+def _material(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Take the fields of `Material`, with their defaults where they are not given."""
+    return {name: given.get(name, field.default) for name, field in Material.model_fields.items()}
+
+
+def _object_part(
+    name: str, mesh: Mesh, material: Mapping[str, Any], pointer: str, store: BlobStore
+) -> PartInput:
+    """Make a part of the object; errors point to fields below ``pointer``."""
+    brdf = material["brdf"]
+    if material["vertex_colours"]:
+        _check_colours(brdf, mesh.colours is not None, f"{pointer}/vertex_colours")
+    if material["subsurface"] is not None and brdf["model"] != "lambert":
         raise SettingsError(
             "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the medium",
-            pointer="/subsurface",
+            pointer=f"{pointer}/subsurface",
         )
-    tangents = tangents_of(args["tangents"], has_uv=mesh.uv is not None, pointer="/tangents")
-    parts = [
-        PartInput(
-            "object",
-            "object",
-            mesh,
-            args["brdf"],
-            albedo_texture=texture,
-            subsurface=args["subsurface"],
-            vertex_colours=colours,
-            tangents=tangents,
-        )
-    ]
-    if args["receiver"] is not None:
-        receiver = ReceiverPlane.model_validate(args["receiver"])
-        plane = receiver_plane(
-            mesh.bounds,
-            resolution=receiver.resolution,
-            extent=receiver.extent,
-            gap=receiver.gap,
-        )
-        material = receiver.brdf or LambertSpec(albedo=receiver.albedo)
-        spec = material.model_dump(mode="json")
-        # horizontal everywhere: the plane is all pole
-        parts.append(PartInput("receiver", "receiver", plane, spec, tangents=(1.0, 0.0, 0.0)))
-    return parts
+    return PartInput(
+        name,
+        "object",
+        mesh,
+        brdf,
+        albedo_texture=_texture(material, f"{pointer}/albedo_texture", mesh, store),
+        subsurface=material["subsurface"],
+        vertex_colours=mesh.colours if material["vertex_colours"] else None,
+        tangents=tangents_of(
+            material["tangents"], has_uv=mesh.uv is not None, pointer=f"{pointer}/tangents"
+        ),
+    )
+
+
+def part_names(groups: Sequence[Sequence[str]]) -> list[str]:
+    """Name parts after their groups, so that no two are called alike."""
+    names = []
+    for own in groups:
+        more = len(own) - 1
+        name = ", ".join(own) if len(own) <= NAMED_GROUPS else f"{own[0]} and {more} more"
+        if len(name) > LONGEST_NAME:
+            ending = f" and {more} more" if more else ""
+            name = own[0][: LONGEST_NAME - len(ending)] + ending
+        names.append(name)
+    return distinct_names(names, taken=[RECEIVER])
+
+
+def _receiver(receiver: ReceiverPlane, mesh: Mesh, store: BlobStore) -> PartInput:
+    plane = receiver_plane(
+        mesh.bounds,
+        resolution=receiver.resolution,
+        extent=receiver.extent,
+        gap=receiver.gap,
+        texture_repeats=receiver.texture_repeats,
+    )
+    brdf = (receiver.brdf or LambertSpec(albedo=receiver.albedo)).model_dump(mode="json")
+    material = {"brdf": brdf, "albedo_texture": receiver.albedo_texture}
+    texture = _texture(material, "/receiver/albedo_texture", plane, store)
+    # horizontal everywhere: the plane is all pole
+    return PartInput(RECEIVER, "receiver", plane, brdf, texture, tangents=(1.0, 0.0, 0.0))
 
 
 def tangents_of(given: str | list[float], *, has_uv: bool, pointer: str) -> Tangents:
@@ -106,24 +176,26 @@ def tangents_of(given: str | list[float], *, has_uv: bool, pointer: str) -> Tang
     return tangents
 
 
-def _check_texture(spec: dict[str, Any], has_uv: bool) -> None:
-    if spec["model"] != "lambert":
+def _texture(material: Mapping[str, Any], pointer: str, mesh: Mesh, store: BlobStore) -> F32 | None:
+    if material["albedo_texture"] is None:
+        return None
+    if material["brdf"]["model"] != "lambert":
         raise SettingsError(
             "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
-            pointer="/albedo_texture",
+            pointer=pointer,
         )
-    if not has_uv:
+    if mesh.uv is None:
         raise SettingsError(
-            "an albedo texture needs texture coordinates, which the mesh lacks",
-            pointer="/albedo_texture",
+            "an albedo texture needs texture coordinates, which the mesh lacks", pointer=pointer
         )
+    return load_texture(store, material["albedo_texture"], pointer=pointer)
 
 
-def _check_colours(spec: dict[str, Any], *, has_colours: bool) -> None:
-    if spec["model"] != "lambert":
+def _check_colours(brdf: Mapping[str, Any], has_colours: bool, pointer: str) -> None:
+    if brdf["model"] != "lambert":
         raise SettingsError(
             "vertex colours need a lambert BRDF: they multiply the whole reflectance",
-            pointer="/vertex_colours",
+            pointer=pointer,
         )
     if not has_colours:
-        raise SettingsError("the mesh has no usable vertex colours", pointer="/vertex_colours")
+        raise SettingsError("the mesh has no usable vertex colours", pointer=pointer)

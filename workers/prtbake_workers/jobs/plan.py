@@ -1,5 +1,7 @@
 """Task ``plan`` of a bake: inputs loaded, materials factorised, effects decided, tiles cut."""
 
+import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -8,10 +10,11 @@ from prtbake_storage.contract.settings import Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
-from prtbake_workers.brdf.base import is_isotropic
+from prtbake_workers.brdf.base import Brdf, is_isotropic
+from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
 from prtbake_workers.jobs.materials import part_inputs
 from prtbake_workers.jobs.media import make_dipole
@@ -39,6 +42,7 @@ INPUTS = (
     "subsurface",
     "vertex_colours",
     "tangents",
+    "materials",
     "receiver",
 )
 """Arguments that say what a scene is made of."""
@@ -48,6 +52,7 @@ def arguments(
     request: dict[str, Any], context: dict[str, Any], settings: StageSettings, quality: Quality
 ) -> dict[str, Any]:
     """Collect all that the plan of a request depends on."""
+    specs = context.get("materials", {})
     return {
         "mesh": context["mesh"]["canonical"],
         "brdf": context["brdf"]["spec"],
@@ -55,6 +60,10 @@ def arguments(
         "subsurface": request.get("subsurface"),
         "vertex_colours": request.get("vertex_colours", False),
         "tangents": request.get("tangents", "horizontal"),
+        "materials": {
+            name: material | {"brdf": specs[name]["spec"]}
+            for name, material in request.get("materials", {}).items()
+        },
         "receiver": request.get("receiver"),
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
@@ -80,7 +89,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     check_bandwidth(settings.bake)
     mesh, report = load_mesh(store, args["mesh"])
     parts = part_inputs(args, mesh, store)
-    meshes, names = [part.mesh for part in parts], [part.name for part in parts]
+    names, roles = [part.name for part in parts], [part.role for part in parts]
     textures = tuple(part.albedo_texture for part in parts)
     colours = tuple(part.vertex_colours for part in parts)
     brdfs = [load_brdf(store, part.brdf) for part in parts]
@@ -89,19 +98,18 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         for part, brdf in zip(parts, brdfs, strict=True)
     ]
     scene = Scene.from_parts(
-        meshes,
+        [part.mesh for part in parts],
         frame_seed=settings.bake.frame_seed,
         frames=[None if own is None else own.frames for own in grain],
+        bodies=bodies_of(roles),
     )
     requested = Effects.model_validate(args["effects"])
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
-    factorisations = tuple(
-        factorise(
-            brdf,
-            n_terms=n_terms,
-            energy_lost=settings.bake.term_energy_lost if n_terms is None else None,
-        )
-        for brdf in brdfs
+    factorisations = _factorise_all(
+        [json.dumps(part.brdf, sort_keys=True) for part in parts],
+        brdfs,
+        n_terms,
+        settings.bake.term_energy_lost if n_terms is None else None,
     )
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     accelerator = Accelerator(scene.positions, scene.faces)
@@ -119,9 +127,11 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         for own, medium in zip(factorisations, media, strict=True)
     )
     effects = decide_effects(
-        meshes,
+        mesh,
         scene,
         accelerator,
+        names=names,
+        roles=roles,
         factorisations=within,
         albedo=reflection_of(scene, within, textures, colours)[1],
         bake=settings.bake,
@@ -134,7 +144,11 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     factorisations = tuple(
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
-    notes = [factorisation.note for factorisation in factorisations if factorisation.note]
+    notes = [
+        f"{name}: {factorisation.note}" if len(names) > 1 else factorisation.note
+        for name, factorisation in zip(names, factorisations, strict=True)
+        if factorisation.note
+    ]
     plan = make_plan(
         scene,
         names,
@@ -142,6 +156,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         effects,
         settings,
         args["quality"],
+        roles=roles,
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[
@@ -184,6 +199,17 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         },
     }
     return PlannedScene(scene, factorisations, textures, colours, header), plan
+
+
+def _factorise_all(
+    specs: Sequence[str], brdfs: Sequence[Brdf], n_terms: int | None, energy_lost: float | None
+) -> tuple[Factorisation, ...]:
+    """Factorise the BRDF of every part; parts may share one, and differ in the rest alone."""
+    found: dict[str, Factorisation] = {}
+    for spec, brdf in zip(specs, brdfs, strict=True):
+        if spec not in found:
+            found[spec] = factorise(brdf, n_terms=n_terms, energy_lost=energy_lost)
+    return tuple(found[spec] for spec in specs)
 
 
 REPAIRS = {

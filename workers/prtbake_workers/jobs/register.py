@@ -64,7 +64,12 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     if registration.builtin is not None:
         mesh = _builtin_mesh(registration.builtin.name, registration.builtin.tessellation)
         creased, found = repair(
-            RawMesh(mesh.positions, mesh.faces.astype(np.int64)),
+            RawMesh(
+                mesh.positions,
+                mesh.faces.astype(np.int64),
+                face_groups=None if mesh.face_groups is None else mesh.face_groups.astype(np.int64),
+                group_names=mesh.group_names,
+            ),
             "builtin",
             orient_outward=False,
             crease_angle_deg=registration.crease_angle_deg,
@@ -85,9 +90,17 @@ def parse_mesh(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         )
     report = found.to_dict()
     path = context.scratch / "mesh.h5"
-    write_mesh(
-        path, MeshFile(mesh.positions, mesh.faces, mesh.normals, mesh.uv, report, mesh.colours)
+    file = MeshFile(
+        mesh.positions,
+        mesh.faces,
+        mesh.normals,
+        mesh.uv,
+        report,
+        mesh.colours,
+        mesh.face_groups,
+        mesh.group_names,
     )
+    write_mesh(path, file)
     return {"understood": report, "canonical": context.store.put_file(path, move=True)}
 
 

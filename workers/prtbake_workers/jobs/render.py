@@ -53,7 +53,7 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     frames = settings.turntable_frames
     total = len(settings.cameras) + frames
     pictures = []
-    bounds = framing_bounds(asset.positions.astype(np.float64), asset.parts[0].vertex_range)
+    bounds = framing_bounds(asset.positions.astype(np.float64), asset.object_ranges)
     width, height = settings.width, settings.height
     views = [pinhole(camera, width, height, bounds) for camera in settings.cameras]
     with open_renderer(asset, settings.backend) as renderer:

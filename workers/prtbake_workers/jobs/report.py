@@ -113,7 +113,8 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for name, value in tile["counters"].items():
             counters[name] = counters.get(name, 0) + value
     counters |= args["bounce_counters"]
-    notes = [*plan["notes"], *large_errors(args["stages"])]
+    names = [part["name"] for part in plan["parts"]]
+    notes = [*plan["notes"], *large_errors(args["stages"], names)]
     for part in args["compressed"]:
         notes += part["notes"]
     notes += args["bounce_notes"]
@@ -169,14 +170,14 @@ REMEDIES = {
 }
 
 
-def large_errors(stages: list[dict[str, Any]]) -> list[str]:
+def large_errors(stages: list[dict[str, Any]], names: list[str]) -> list[str]:
     """Point to parts that a stage lost much of: a brighter part may hide it in the pictures."""
     return [
         f"{name}: {REMEDIES[stage['name']].format(error)}"
         for stage in stages
         if stage["name"] in REMEDIES
         for name, error in stage["errors"].items()
-        if error > LARGE_ERROR and " " not in name
+        if error > LARGE_ERROR and name in names
     ]
 
 

@@ -29,8 +29,9 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 class PlannedScene:
     """Geometry, and by part factorised materials, albedo textures and colours; the plan's header.
 
-    ``header`` holds ``bake`` (settings), ``parts`` (name, material, medium, occluders), ``bounces``
-    (their channels, the parts that scatter; None where neither is simulated), ``provenance``.
+    ``header`` holds ``bake`` (settings), ``parts`` (name, role, material, medium, occluders),
+    ``bounces`` (their channels, the parts that scatter; None where neither is simulated),
+    ``provenance``.
     """
 
     scene: Scene
@@ -145,6 +146,7 @@ def write_scene(path: Path, planned: PlannedScene) -> Path:
     header = dict(planned.header) | {
         "tables": tables,
         "part_ranges": [list(pair) for pair in scene.part_ranges],
+        "bodies": None if scene.bodies is None else list(scene.bodies),
     }
     return write_bundle(path, arrays, header)
 
@@ -156,6 +158,7 @@ def read_scene(path: Path) -> PlannedScene:
         **{name: arrays[name] for name in _SCENE_ARRAYS},
         uv=arrays.get("uv"),
         part_ranges=tuple((int(a), int(b)) for a, b in header["part_ranges"]),
+        bodies=None if header["bodies"] is None else tuple(header["bodies"]),
     )
     factorisations = []
     for index, plain in enumerate(header["tables"]):

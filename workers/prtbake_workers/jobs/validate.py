@@ -23,7 +23,7 @@ from prtbake_workers.brdf.view_texture import view_texture
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import vertex_areas
-from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_environment
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import occluder_accelerator
@@ -237,6 +237,7 @@ def scene_of(header: TransferHeader) -> Scene:
         uv=header.uv,
         part_ranges=ranges,
         part_of_face=owner.astype(np.int32),
+        bodies=bodies_of([part.role for part in header.parts]),
     )
 
 

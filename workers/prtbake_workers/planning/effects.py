@@ -6,10 +6,13 @@ sparse probe of rays weighted with the part's own transfer.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from prtbake_storage.contract.settings import BakeSettings, Effects, Switch
+from prtbake_storage.decode.asset import Role
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
@@ -78,10 +81,12 @@ def _cosine_directions(
 
 
 def decide_effects(
-    meshes: list[Mesh],
+    shape: Mesh,
     scene: Scene,
     accelerator: Accelerator,
     *,
+    names: Sequence[str],
+    roles: Sequence[Role],
     factorisations: Sequence[Factorisation],
     albedo: Albedo,
     watertight: bool,
@@ -91,25 +96,30 @@ def decide_effects(
     subsurface: Decision = NOTHING_SCATTERS,
     grain: Sequence[Grain | None] = (),
 ) -> list[Decision]:
-    """Decide effect by effect for an object (part 0) and, where there is one, its receiver.
+    """Decide effect by effect for an object of one part or several, and a receiver if there is one.
 
-    ``albedo`` is what multiplies the light that each point sends, see `BounceGather`; of parts with
-    a medium it holds the medium's, whatever ``subsurface`` decided before.  ``grain`` holds the
-    frames of anisotropic parts.
+    ``shape`` is the whole object before it was cut into parts; ``names`` and ``roles`` are those of
+    the scene's parts.  ``albedo`` is what multiplies the light that each point sends, see
+    `BounceGather`; of parts with a medium it holds the medium's, whatever ``subsurface`` decided
+    before.  ``grain`` holds the frames of anisotropic parts.
     """
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     decisions = [
         _self_shadowing(
-            meshes[0],
+            shape,
             scene,
-            factorisations[0],
+            names,
+            roles,
+            factorisations,
             watertight,
             requested.self_shadowing,
             seed,
             bake.bounce_tolerance,
         ),
-        _receiver_shadows(scene, accelerator, factorisations, requested.receiver_shadows, seed),
-        _view_dependence(factorisations, requested.view_dependence),
+        _receiver_shadows(
+            scene, accelerator, names, roles, factorisations, requested.receiver_shadows, seed
+        ),
+        _view_dependence(names, factorisations, requested.view_dependence),
         decide_frames(part_terms, grain),
     ]
     decisions += decide_bounces(
@@ -119,87 +129,151 @@ def decide_effects(
         albedo,
         bake,
         requested,
+        names=names,
         seed=seed + 3,
     )
     return [*decisions, subsurface]
 
 
-def _self_shadowing(
-    mesh: Mesh,
+@dataclass(frozen=True)
+class _Probed:
+    """What shadows take from several parts: the worst ratio, and shares of their rays together.
+
+    ``named`` holds the share of each part by name where there are several.
+    """
+
+    ratio: float
+    share: float
+    rays: int
+    named: dict[str, float]
+
+    def most(self) -> str:
+        """Say which part it is most of."""
+        return f", most on {max(self.named, key=self.named.__getitem__)}" if self.named else ""
+
+
+def _probe_parts(
     scene: Scene,
-    factorisation: Factorisation,
+    accelerator: Accelerator,
+    parts: Sequence[int],
+    names: Sequence[str],
+    factorisations: Sequence[Factorisation],
+    seed: int,
+) -> _Probed:
+    found = [
+        probe_occlusion(scene, accelerator, part, factorisations[part], seed=seed) for part in parts
+    ]
+    rays = sum(count for _, _, count in found)
+    return _Probed(
+        ratio=max(ratio for ratio, _, _ in found),
+        share=sum(share * count for _, share, count in found) / rays,
+        rays=rays,
+        named={names[part]: share for part, (_, share, _) in zip(parts, found, strict=True)}
+        if len(parts) > 1
+        else {},
+    )
+
+
+def _of_role(roles: Sequence[Role], role: Role) -> list[int]:
+    return [part for part, own in enumerate(roles) if own == role]
+
+
+def _self_shadowing(
+    shape: Mesh,
+    scene: Scene,
+    names: Sequence[str],
+    roles: Sequence[Role],
+    factorisations: Sequence[Factorisation],
     watertight: bool,
     switch: Switch,
     seed: int,
     tolerance: float,
 ) -> Decision:
-    defect = convexity_defect(mesh)
-    own = Accelerator(mesh.positions, mesh.faces)
-    ratio, share, rays = probe_occlusion(scene, own, 0, factorisation, seed=seed)
-    convex = watertight and defect <= CONVEX_TOLERANCE and share == 0.0
+    """Decide on the light that the object, all of its parts together, takes from itself."""
+    defect = convexity_defect(shape)
+    own = Accelerator(shape.positions, shape.faces)
+    found = _probe_parts(scene, own, _of_role(roles, "object"), names, factorisations, seed)
+    convex = watertight and defect <= CONVEX_TOLERANCE and found.share == 0.0
     # a probe can miss shadows that are deep where they fall; this bound holds at every point
-    most = scattered_shadows(mesh, factorisation) if watertight and not convex else float("inf")
-    scattered = most < tolerance and ratio < tolerance
+    most = float("inf")
+    if watertight and not convex:
+        most = max(
+            scattered_shadows(shape, factorisations[part]) for part in _of_role(roles, "object")
+        )
+    scattered = most < tolerance and found.ratio < tolerance
     taken, forced = settle(switch, not (convex or scattered))
     if convex:
         reason = "a closed convex mesh cannot shadow itself: no ray is needed"
     elif scattered:
         reason = f"closed convex pieces far apart take at most {most:.1e} from each other"
     else:
-        reason = f"the mesh is not closed and convex; {100 * share:.1f} % of probe rays are blocked"
+        reason = (
+            f"the mesh is not closed and convex; {100 * found.share:.1f} % of probe rays are "
+            f"blocked{found.most()}"
+        )
+    evidence: dict[str, Any] = {
+        "convexity_defect_diagonals": defect if np.isfinite(defect) else None,
+        "watertight": watertight,
+        "probe_rays": found.rays,
+        "blocked_share": found.share,
+        "scattered_bound": most if np.isfinite(most) else None,
+        "tolerance": tolerance,
+    }
+    if found.named:
+        evidence["blocked_share_of"] = found.named
     return Decision(
         effect="self_shadowing",
         taken=taken,
         forced=forced,
         reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
-        evidence={
-            "convexity_defect_diagonals": defect if np.isfinite(defect) else None,
-            "watertight": watertight,
-            "probe_rays": rays,
-            "blocked_share": share,
-            "scattered_bound": most if np.isfinite(most) else None,
-            "tolerance": tolerance,
-        },
-        predicted_error_otherwise=0.0 if convex and not forced else ratio,
+        evidence=evidence,
+        predicted_error_otherwise=0.0 if convex and not forced else found.ratio,
     )
 
 
 def _receiver_shadows(
     scene: Scene,
     accelerator: Accelerator,
+    names: Sequence[str],
+    roles: Sequence[Role],
     factorisations: Sequence[Factorisation],
     switch: Switch,
     seed: int,
 ) -> Decision:
     """Decide on the light that object and receiver take from each other, both ways."""
-    if len(scene.part_ranges) < 2:
+    receivers, objects = _of_role(roles, "receiver"), _of_role(roles, "object")
+    if not receivers:
         return Decision("receiver_shadows", False, switch != "auto", "there is no receiver", {})
-    own, other = factorisations[:2]
-    ratio, share, rays = probe_occlusion(scene, accelerator, 1, other, seed=seed + 1)
-    plane = Accelerator(scene.positions, scene.faces[scene.part_of_face == 1])
-    below, from_object, more = probe_occlusion(scene, plane, 0, own, seed=seed + 2)
+    shaded = _probe_parts(scene, accelerator, receivers, names, factorisations, seed + 1)
+    plane = Accelerator(scene.positions, scene.faces[np.isin(scene.part_of_face, receivers)])
+    below = _probe_parts(scene, plane, objects, names, factorisations, seed + 2)
     # a sparse probe can miss a small object on a wide plane: that a ray is blocked settles it,
     # that none is does not, so a receiver always gets its shadows unless forced off
     taken, forced = settle(switch, True)
     reason = (
-        f"{100 * share:.1f} % of the probe rays from the receiver are blocked, and the receiver "
-        f"blocks {100 * from_object:.1f} % of the object's"
+        f"{100 * shaded.share:.1f} % of the probe rays from the receiver are blocked, and the "
+        f"receiver blocks {100 * below.share:.1f} % of the object's{below.most()}"
     )
+    evidence: dict[str, Any] = {
+        "probe_rays": shaded.rays + below.rays,
+        "blocked_share": shaded.share,
+        "object_blocked_share": below.share,
+    }
+    if below.named:
+        evidence["object_blocked_share_of"] = below.named
     return Decision(
         effect="receiver_shadows",
         taken=taken,
         forced=forced,
         reason=f"forced {switch}; otherwise: {reason}" if forced else reason,
-        evidence={
-            "probe_rays": rays + more,
-            "blocked_share": share,
-            "object_blocked_share": from_object,
-        },
-        predicted_error_otherwise=max(ratio, below),
+        evidence=evidence,
+        predicted_error_otherwise=max(shaded.ratio, below.ratio),
     )
 
 
-def _view_dependence(factorisations: Sequence[Factorisation], switch: Switch) -> Decision:
+def _view_dependence(
+    names: Sequence[str], factorisations: Sequence[Factorisation], switch: Switch
+) -> Decision:
     """Report on what the factorisations hold: ``off`` has cut them to one term each."""
     terms = [factorisation.n_terms for factorisation in factorisations]
     glossy = [found for found in factorisations if not found.is_constant_phi]
@@ -213,7 +287,9 @@ def _view_dependence(factorisations: Sequence[Factorisation], switch: Switch) ->
         reason = "forced off: one term a part, whose view factor is the same for all light"
     else:
         reason = "forced on: " if forced else ""
-        reason += f"terms a part: {terms}"
+        reason += "terms: " + ", ".join(
+            f"{name} {count}" for name, count in zip(names, terms, strict=True)
+        )
     return Decision(
         effect="view_dependence",
         taken=max(terms) > 1,

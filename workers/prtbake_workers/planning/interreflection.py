@@ -185,22 +185,24 @@ def decide_bounces(
     bake: BakeSettings,
     requested: Effects,
     *,
+    names: Sequence[str],
     seed: int,
 ) -> list[Decision]:
     """Decide on interreflection and on channels of its own for each colour.
 
-    Taken where leaving it out may cost more than ``bake.bounce_tolerance`` on some part.
+    Taken where leaving it out may cost more than ``bake.bounce_tolerance`` on some part;
+    ``names`` are those of the parts.
     """
     probes = [
         probe_bounce(surface, part, factorisations, albedo, seed=seed + part)
         for part in range(len(scene.part_ranges))
     ]
-    bounced = all_bounces(probes).tolist()
-    share = max(bounced)
-    chroma = max(
-        every * probe.chroma / probe.share if probe.share else 0.0
-        for every, probe in zip(bounced, probes, strict=True)
-    )
+    shares = all_bounces(probes).tolist()
+    chromas = [
+        share * probe.chroma / probe.share if probe.share else 0.0
+        for share, probe in zip(shares, probes, strict=True)
+    ]
+    share, chroma = max(shares), max(chromas)
     hit_share = max(probe.hit_share for probe in probes)
     evidence = {
         "probe_rays": sum(probe.n_rays for probe in probes),
@@ -214,7 +216,7 @@ def decide_bounces(
         requested.interreflection,
         share,
         bake.bounce_tolerance,
-        _bounce_reason(albedo, hit_share, share),
+        _bounce_reason(albedo, hit_share, shares, names),
         evidence,
     )
     evidence = {"chroma_share": chroma, "tolerance": bake.bounce_tolerance}
@@ -226,6 +228,7 @@ def decide_bounces(
         "bounced light is as grey as what it met"
         if chroma == 0.0
         else f"one channel for all colours would miss {chroma:.1e} of the direct light's energy"
+        + _of_part(chromas, names)
     )
     colours = _decision(
         "colour_bleeding",
@@ -238,14 +241,21 @@ def decide_bounces(
     return [bounces, colours]
 
 
-def _bounce_reason(albedo: Albedo, hit_share: float, share: float) -> str:
+def _of_part(shares: Sequence[float], names: Sequence[str]) -> str:
+    """Say which part has the largest share, where there are several."""
+    return f" of {names[int(np.argmax(shares))]}" if len(names) > 1 else ""
+
+
+def _bounce_reason(
+    albedo: Albedo, hit_share: float, shares: Sequence[float], names: Sequence[str]
+) -> str:
     if albedo.is_black:
         return "every surface is black: none sends light to another"
     if hit_share == 0.0:
         return "no probe ray from a surface meets another"
     return (
         f"{100 * hit_share:.1f} % of probe rays meet a surface, and what it sends adds "
-        f"{share:.1e} to the direct light's energy"
+        f"{max(shares):.1e} to the direct light's energy{_of_part(shares, names)}"
     )
 
 

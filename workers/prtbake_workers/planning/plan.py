@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
+from prtbake_storage.decode.asset import Role
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
@@ -51,6 +52,7 @@ class PartPlan:
     """
 
     name: str
+    role: Role
     vertex_range: tuple[int, int]
     n_terms: int
     occluders: tuple[int, ...]
@@ -104,12 +106,20 @@ class Plan:
         return asdict(self)
 
 
-def occluders_of(part: int, n_parts: int, effects: list[Decision]) -> tuple[int, ...]:
-    """List the parts whose triangles may block light on its way to ``part``."""
+def occluders_of(part: int, roles: Sequence[Role], effects: Sequence[Decision]) -> tuple[int, ...]:
+    """List the parts whose triangles may block light on its way to ``part``.
+
+    All parts of an object are one shape: each is shadowed by all of them, or by none.  A receiver
+    is a plane, which does not shadow itself.
+    """
     taken = {decision.effect: decision.taken for decision in effects}
-    own = (0,) if part == 0 and taken["self_shadowing"] else ()
-    others = tuple(i for i in range(n_parts) if i != part) if taken["receiver_shadows"] else ()
-    return tuple(sorted(own + others))
+    own = roles[part]
+    return tuple(
+        other
+        for other, role in enumerate(roles)
+        if taken["self_shadowing" if own == role else "receiver_shadows"]
+        and not own == role == "receiver"
+    )
 
 
 def check_bandwidth(bake: BakeSettings) -> None:
@@ -188,12 +198,13 @@ def expected_bounces(decided: Decision, bounces: BouncePlan) -> int:
 
 def make_plan(
     scene: Scene,
-    names: list[str],
+    names: Sequence[str],
     part_terms: list[int],
     effects: list[Decision],
     settings: StageSettings,
     quality: Quality,
     *,
+    roles: Sequence[Role],
     chunk_vertices: Callable[[int, int], int],
     spectra: Sequence[Float64[F64, " _"]],
     notes: list[str],
@@ -203,6 +214,7 @@ def make_plan(
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
+    ``names`` and ``roles`` are those of the scene's parts.
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
     ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
     ``scattering`` the parts of these whose scattering is simulated, ``n_oriented`` how many parts
@@ -214,7 +226,7 @@ def make_plan(
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
         start, stop = scene.part_ranges[index]
-        occluders = occluders_of(index, len(names), effects)
+        occluders = occluders_of(index, roles, effects)
         compression = resolve_compression(
             settings.compress,
             quality,
@@ -234,6 +246,7 @@ def make_plan(
         parts.append(
             PartPlan(
                 name=name,
+                role=roles[index],
                 vertex_range=(start, stop),
                 n_terms=n_terms,
                 occluders=occluders,

@@ -1,5 +1,6 @@
 """Pinhole cameras: framing, rays through pixel centres, and the matrix that agrees with them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,13 +120,13 @@ def camera_rays(
 
 
 def framing_bounds(
-    positions: Float64[F64, "verts 3"], vertex_range: tuple[int, int]
+    positions: Float64[F64, "verts 3"], vertex_ranges: Sequence[tuple[int, int]]
 ) -> Float64[F64, "2 3"]:
-    """Return the bounds that automatic framing fills the picture with: those of one part.
+    """Return the bounds that automatic framing fills the picture with: those of some parts.
 
-    The object, that is, not the receiver under it.
+    Of the object, that is, not of the receiver under it.
     """
-    own = positions[slice(*vertex_range)]
+    own = np.concatenate([positions[start:stop] for start, stop in vertex_ranges])
     return np.stack([own.min(axis=0), own.max(axis=0)])
 
 

@@ -78,6 +78,7 @@ def part_accounts(
         accounts.append(
             {
                 "name": part["name"],
+                "role": part["role"],
                 "vertices": stop - start,
                 "terms": part["n_terms"],
                 "method": factors["method"],

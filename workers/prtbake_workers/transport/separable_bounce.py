@@ -65,7 +65,8 @@ class BounceGather:
     n_rays
         N rays a vertex, the same in every bounce.
     seed
-        Of the shift of every vertex's rays, whichever vertices are asked for beside it.
+        Of the shift of every vertex's rays, whichever vertices are asked for beside it; vertices
+        that are `Scene.twins` have the same.
 
     Attributes
     ----------
@@ -111,14 +112,15 @@ class BounceGather:
         self._products: list[_Product] = []
         if albedo.is_black:
             return
-        shift, pattern = shifts(seed, first, last, 2), lattice(n_rays)
+        # a vertex that a border of parts made two of looks the same way in both
+        shift, pattern = shifts(seed, 0, scene.n_vertices, 2)[scene.twins], lattice(n_rays)
         lengths = np.linalg.norm(scene.normals[vertices], axis=1)
         usable = np.flatnonzero(np.abs(lengths - 1.0) < 1e-3)
         for start in range(0, len(usable), VERTICES_PER_PRODUCT):
             rows = usable[start : start + VERTICES_PER_PRODUCT]
             own = vertices[rows]
             # in frames of the normals alone: turning those of the terms turns no ray
-            drawn = cosine_directions(shifted(pattern, shift[own - first]))
+            drawn = cosine_directions(shifted(pattern, shift[own]))
             world = drawn @ tangent_frames(scene.normals[own])
             rays = _cast(surface, own, world)
             self.n_rays += rays.n_rays

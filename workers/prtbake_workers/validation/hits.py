@@ -57,7 +57,7 @@ class PixelHits:
 def trace_camera(validation: ValidationScene, camera: Camera, width: int, height: int) -> PixelHits:
     """Trace one ray through every pixel centre and keep the hits that face the eye."""
     scene = validation.scene
-    object_bounds = framing_bounds(scene.positions, scene.part_ranges[0])
+    object_bounds = framing_bounds(scene.positions, validation.delivered.object_ranges)
     origins, directions = camera_rays(camera, width, height, object_bounds)
     hits = validation.accelerator.intersect(
         np.asarray(origins, np.float32), np.asarray(directions, np.float32)

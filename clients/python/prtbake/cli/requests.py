@@ -16,6 +16,12 @@ from pydantic import BaseModel, ValidationError
 
 from prtbake.cli.assignments import legal_names, nested, one_of, parse_value
 from prtbake.cli.context import client_of
+from prtbake.cli.materials import (
+    Materials,
+    MaterialTextures,
+    MaterialWords,
+    ReceiverTexture,
+)
 from prtbake.cli.sources import (
     brdf_value,
     environment_id,
@@ -171,6 +177,9 @@ def asset(
     subsurface: Medium = None,
     vertex_colours: Colours = False,
     tangents: TangentsWord = "horizontal",
+    material: Materials = None,
+    material_texture: MaterialTextures = None,
+    receiver_texture: ReceiverTexture = None,
     effect: Effect = None,
     setting: StageSet = None,
     mesh_format: MeshFormat = "auto",
@@ -184,10 +193,12 @@ def asset(
 ) -> Request:
     """Bake, compress, fit the light, render, validate, report: the main job."""
     settings = _stage_settings(setting)
+    materials = MaterialWords.read(material, material_texture, receiver_texture)
     scene = _scene(
         client,
         mesh,
         brdf,
+        materials,
         receiver,
         albedo_texture,
         subsurface,
@@ -219,6 +230,9 @@ def bake(
     subsurface: Medium = None,
     vertex_colours: Colours = False,
     tangents: TangentsWord = "horizontal",
+    material: Materials = None,
+    material_texture: MaterialTextures = None,
+    receiver_texture: ReceiverTexture = None,
     effect: Effect = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
@@ -230,10 +244,12 @@ def bake(
 ) -> Request:
     """Simulate transport: gives transfer.h5."""
     settings = _settings(setting, BakeSettings)
+    materials = MaterialWords.read(material, material_texture, receiver_texture)
     scene = _scene(
         client,
         mesh,
         brdf,
+        materials,
         receiver,
         albedo_texture,
         subsurface,
@@ -411,6 +427,7 @@ def _scene(
     client: Client,
     mesh: str,
     brdf: str,
+    materials: MaterialWords,
     receiver: str | None,
     texture: str | None,
     medium: str | None,
@@ -437,6 +454,7 @@ def _scene(
     if texture is not None and not texture.startswith("sha256:"):
         picture = existing_file(texture, "--albedo-texture")
     scene["brdf"] = brdf_value(client, brdf)
+    materials.add_to(client, scene)
     scene["mesh"] = mesh_id(client, mesh, format=mesh_format, crease_angle_deg=crease_angle)
     if texture is not None:
         scene["albedo_texture"] = texture if picture is None else client.upload(picture).digest

@@ -75,37 +75,39 @@ def environment_id(client: Client, source: str, **options: object) -> str:
         return client.add_environment(path, **options).id
 
 
-def brdf_value(client: Client, source: str) -> str | dict[str, Any]:
+def brdf_value(client: Client, source: str, *, option: str = "--brdf") -> str | dict[str, Any]:
     """Return the BRDF that an argument means: an id, or the JSON that describes it.
 
     A file that holds no JSON is registered; ``FILE#MATERIAL`` names one row of a table of fits.
+    ``option`` is where the argument stands.
     """
     if _RESOURCE.fullmatch(source):
         return source
     if source.lstrip().startswith("{"):
-        return _brdf(source)
+        return _brdf(source, option)
     name, *pairs = source.split(",")
     if (model := _MODELS.get(name)) is not None:
         fields = [field for field in model.model_fields if field != "model"]
-        return _checked({"model": name, **legal_names(key_values(pairs), fields, name, "--brdf")})
+        given = legal_names(key_values(pairs), fields, name, option)
+        return _checked({"model": name, **given}, option)
     file, hash_, material = source.rpartition("#")
     if hash_ and not Path(source).expanduser().is_file():
-        path = existing_file(file, "--brdf")
+        path = existing_file(file, option)
         with naming(path):
             return client.add_brdf(path, material=material).id
     if not Path(source).expanduser().is_file():
         raise typer.BadParameter(
             f"there is no file {source}, and the BRDF models are {', '.join(_MODELS)}",
-            param_hint="--brdf",
+            param_hint=option,
         )
-    path = existing_file(source, "--brdf")
+    path = existing_file(source, option)
     if not is_json(path):
         with naming(path):
             return client.add_brdf(path).id
     try:
-        return _brdf(path.read_text())
+        return _brdf(path.read_text(), option)
     except UnicodeDecodeError as error:
-        raise typer.BadParameter(f"{source} is not JSON but binary", param_hint="--brdf") from error
+        raise typer.BadParameter(f"{source} is not JSON but binary", param_hint=option) from error
 
 
 @contextmanager
@@ -144,18 +146,18 @@ def key_values(pairs: list[str]) -> dict[str, Any]:
     return values
 
 
-def _brdf(text: str) -> dict[str, Any]:
+def _brdf(text: str, option: str) -> dict[str, Any]:
     try:
-        return _checked(json.loads(text))
+        return _checked(json.loads(text), option)
     except json.JSONDecodeError as error:
-        raise typer.BadParameter(f"not JSON: {error}", param_hint="--brdf") from error
+        raise typer.BadParameter(f"not JSON: {error}", param_hint=option) from error
 
 
-def _checked(value: object) -> dict[str, Any]:
+def _checked(value: object, option: str) -> dict[str, Any]:
     try:
         spec = brdf_adapter.validate_python(value)
     except ValidationError as error:
-        raise typer.BadParameter("; ".join(_complaints(error)), param_hint="--brdf") from error
+        raise typer.BadParameter("; ".join(_complaints(error)), param_hint=option) from error
     plain: dict[str, Any] = spec.model_dump(mode="json")
     return plain
 
