@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
-from prtbake.cli.requests import medium_value, receiver_value, tangents_value
+from prtbake.cli.scene_words import medium_value, receiver_value, tangents_value
 from prtbake_service.testing import LiveService
 from prtbake_storage import __version__
 from prtbake_storage.contract.jobs import JobError, JobState, Progress
@@ -83,28 +83,36 @@ def test_submit_asset_from_words(
     assert request["tangents"] == [0.0, 1.0, -0.5]
 
 
+WAX = {
+    "brdf": {"model": "lambert", "albedo": 0.9},
+    "subsurface": {"medium": "marble", "mm_per_unit": 10},
+}
+
+
 def test_submit_materials_from_words(
     run: Run, service: LiveService, environment: str, tmp_path: Path
 ) -> None:
     """Names may hold blanks and signs; what stands behind them is read as --brdf is."""
     texture = tmp_path / "wood.png"
     texture.write_bytes(b"png of wood")
-    canonical = service.backend.blobs.put_bytes(b"a mesh of three groups")
-    groups = [{"name": name, "faces": 1} for name in ("lid", "wood Brown", "a/b#1")]
+    canonical = service.backend.blobs.put_bytes(b"a mesh of four groups")
+    groups = [{"name": name, "faces": 1} for name in ("lid", "wood Brown", "a/b#1", "body")]
     result = {"canonical": canonical, "understood": {"groups": groups}}
     service.answer_next("register", lambda job: service.succeed(job, result))
     made = run(
         *("submit", "bake", "--mesh", "builtin:teapot:9", "--brdf", "lambert"),
         *("--material", "lid=ggx,alpha=0.3", "--material", "wood Brown=lambert,albedo=0.9"),
         *("--material", 'a/b#1={"model": "phong", "exponent": 4}'),
+        *("--material", f"body={json.dumps(WAX)}"),
         *("--material-texture", f"wood Brown={texture}", "--receiver-texture", texture),
         *("-o", "json"),
     )
     assert made.exit_code == 0, made.output
     request = json.loads(made.stdout)["request"]
     assert {name: one["brdf"]["model"] for name, one in request["materials"].items()} == {
-        "lid": "ggx", "wood Brown": "lambert", "a/b#1": "phong",
+        "lid": "ggx", "wood Brown": "lambert", "a/b#1": "phong", "body": "lambert",
     }  # fmt: skip
+    assert request["materials"]["body"]["subsurface"]["medium"] == "marble"
     digest = request["materials"]["wood Brown"]["albedo_texture"]
     assert service.backend.blobs.read_bytes(digest) == b"png of wood"
     assert request["receiver"]["albedo_texture"] == digest

@@ -76,6 +76,10 @@ SKY = ("submit", "fit-light", "--environment")
         ((*BAKE, "--brdf", "lambert", "--receiver", "size=3"), ["size", "resolution, extent"]),
         ((*BAKE, "--brdf", "lambert", "--effect", "fog=on"), ["fog", "self_shadowing"]),
         ((*BAKE, "--brdf", "lambert", "--material", "lid"), ["'lid'", "NAME=", "--material"]),
+        (
+            (*BAKE, "--brdf", "lambert", "--material", 'lid={"brdf": {}, "tint": 1}'),
+            ["'tint'", "tangents", "--material"],
+        ),
         ((*BAKE, "--brdf", "lambert", "--material", "lid=bogus"), ["bogus", "--material"]),
         ((*BAKE, "--brdf", "lambert", "--material", "a=lambert", "--material", "a=ggx"), ["twice"]),
         (

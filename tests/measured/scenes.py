@@ -1,5 +1,6 @@
 """The scenes of the measured results, as they are typed on the command line."""
 
+import shlex
 from dataclasses import dataclass
 
 DATA = "$PRTBAKE_DATA"
@@ -8,6 +9,7 @@ DATA = "$PRTBAKE_DATA"
 LIGHT = ("--environment", f"{DATA}/environments/kloppenheim_05_1k.hdr")
 SIZE = ("--set", "render.width=480", "--set", "render.height=360")
 MEDIUM = ("--quality", "medium", "--receiver", "96", *SIZE)
+LOW = ("--quality", "low", "--receiver", "64", *SIZE)
 QUICK = (
     "--quality", "draft", "--receiver", "12", *SIZE,
     "--set", "validation.width=64", "--set", "validation.height=48",
@@ -15,6 +17,7 @@ QUICK = (
 )  # fmt: skip
 """Coarse enough to try the command: nothing that comes of it is a result."""
 
+MARBLE = '{"brdf": {"model": "lambert"}, "subsurface": {"medium": "marble", "mm_per_unit": 20}}'
 N_CLUSTERS = 97
 MAX_ITERATIONS = 8
 RANK_PAIRS = {
@@ -28,7 +31,10 @@ RANK_PAIRS = {
 
 @dataclass(frozen=True)
 class Scene:
-    """An asset job: ``options`` always, ``settings`` beside those of the quality in full."""
+    """An asset job: ``options`` always, ``settings`` beside those of the quality in full.
+
+    ``full`` says what that quality is.
+    """
 
     name: str
     title: str
@@ -36,15 +42,20 @@ class Scene:
     options: tuple[str, ...]
     settings: tuple[str, ...] = ()
     rank_pairs: bool = False
+    full: tuple[str, ...] = MEDIUM
 
     def arguments(self, *, quick: bool) -> list[str]:
         """Return what follows ``prtbake submit asset``, with `DATA` for the folder."""
-        return [*self.options, *LIGHT, *(QUICK if quick else (*MEDIUM, *self.settings))]
+        return [*self.options, *LIGHT, *(QUICK if quick else (*self.full, *self.settings))]
 
     def command(self, *, quick: bool) -> str:
         """Return the command as it is typed, an option a line."""
         words = self.arguments(quick=quick)
-        lines = [f"{option} {value}" for option, value in zip(words[::2], words[1::2], strict=True)]
+        lines = [
+            # what the shell is to fill in stays open to it
+            f"{option} {value if value.startswith(DATA) else shlex.quote(value)}"
+            for option, value in zip(words[::2], words[1::2], strict=True)
+        ]
         return " \\\n    ".join(["prtbake submit asset", *lines])
 
 
@@ -73,5 +84,24 @@ SCENES = (
             "--albedo-texture", f"{DATA}/meshes/spot/spot_texture.png",
             "--brdf", "lambert",
         ),
+    ),
+    Scene(
+        name="shaderball",
+        title="Shaderball in two materials, every effect",
+        about="The shaderball with a brushed shell, whose grain follows the texture coordinates, "
+        "around a ball and foot of marble that scatters light inside, on a textured plane: three "
+        "bounces, colours of their own. Planning takes every effect by itself.",
+        options=(
+            "--mesh", f"{DATA}/meshes/gltf/shaderball.glb",
+            "--brdf", "ward,kd=0.25:0.12:0.05,ks=0.4,alpha_x=0.25,alpha_y=0.6",
+            "--tangents", "uv",
+            "--material", f"Calibration_Mesh={MARBLE}",
+            "--receiver-texture", f"{DATA}/meshes/spot/spot_texture.png",
+        ),
+        settings=(
+            "--set", "bake.n_terms=16", "--set", "bake.max_bounces=3",
+            "--set", "bake.bounce_tolerance=1e-5", "--set", "validation.passes=16",
+        ),
+        full=LOW,
     ),
 )  # fmt: skip

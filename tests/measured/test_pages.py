@@ -2,6 +2,7 @@
 
 import copy
 import re
+import shlex
 
 import pytest
 
@@ -175,4 +176,4 @@ def test_commands_name_the_data_by_its_variable():
             files = [word for word in command.split() if "/" in word]
             assert len(files) >= 2
             assert all(word.startswith(f"{DATA}/") for word in files)
-            assert command.replace("\\\n", "").split()[3:] == scene.arguments(quick=quick)
+            assert shlex.split(command.replace("\\\n", ""))[3:] == scene.arguments(quick=quick)

@@ -61,3 +61,11 @@ def legal_names(
                 f"{owner} has no {name!r}; it has: {', '.join(names)}", param_hint=option
             )
     return given
+
+
+def read_json(text: str, option: str) -> Any:
+    """Read JSON that stands behind an option."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise typer.BadParameter(f"not JSON: {error}", param_hint=option) from error

@@ -6,8 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
+from prtbake.cli.assignments import legal_names, read_json
 from prtbake.cli.sources import brdf_value, existing_file
 from prtbake.client import Client
+from prtbake_storage.contract.materials import Material
 
 MATERIAL, TEXTURE = "--material", "--material-texture"
 RECEIVER_TEXTURE = "--receiver-texture"
@@ -17,7 +19,7 @@ Materials = Annotated[
     typer.Option(
         MATERIAL,
         metavar="NAME=BRDF",
-        help="BRDF of a group of the mesh's faces; repeat for several.",
+        help="BRDF of a group of the mesh's faces, or its whole material as JSON; repeatable.",
     ),
 ]
 MaterialTextures = Annotated[
@@ -62,10 +64,7 @@ class MaterialWords:
 
     def add_to(self, client: Client, scene: dict[str, Any]) -> None:
         """Register and upload what they name, and write it into a request."""
-        materials: dict[str, dict[str, Any]] = {
-            name: {"brdf": brdf_value(client, text, option=MATERIAL)}
-            for name, text in self.brdfs.items()
-        }
+        materials = {name: _material(client, text) for name, text in self.brdfs.items()}
         for name, found in self.textures.items():
             materials[name]["albedo_texture"] = _digest(client, found)
         if materials:
@@ -74,6 +73,15 @@ class MaterialWords:
             # a texture calls for a plane to lie on
             plane = scene.setdefault("receiver", {})
             plane["albedo_texture"] = _digest(client, self.receiver)
+
+
+def _material(client: Client, text: str) -> dict[str, Any]:
+    """Read a BRDF, or JSON with a ``brdf`` in it and what else a material has."""
+    if text.lstrip().startswith("{"):
+        given = read_json(text, MATERIAL)
+        if "brdf" in given:
+            return legal_names(given, Material.model_fields, "a material", MATERIAL)
+    return {"brdf": brdf_value(client, text, option=MATERIAL)}
 
 
 def _named(pairs: list[str] | None, option: str) -> dict[str, str]:

@@ -5,16 +5,15 @@ done with the request, so that both groups take the same options.
 """
 
 import inspect
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from prtbake.cli.assignments import legal_names, nested, one_of, parse_value
+from prtbake.cli.assignments import legal_names, nested, one_of, read_json
 from prtbake.cli.context import client_of
 from prtbake.cli.materials import (
     Materials,
@@ -22,6 +21,7 @@ from prtbake.cli.materials import (
     MaterialWords,
     ReceiverTexture,
 )
+from prtbake.cli.scene_words import medium_value, receiver_value, tangents_value
 from prtbake.cli.sources import (
     brdf_value,
     environment_id,
@@ -31,14 +31,12 @@ from prtbake.cli.sources import (
 )
 from prtbake.client import Client
 from prtbake_storage.contract import resources as contract
-from prtbake_storage.contract.materials import Subsurface
 from prtbake_storage.contract.settings import (
     STAGES,
     BakeSettings,
     CompressSettings,
     Effects,
     FitLightSettings,
-    ReceiverPlane,
     RenderSettings,
     ValidateSettings,
 )
@@ -369,10 +367,7 @@ def file(
     """Take the whole request from a JSON file."""
     del client
     text = sys.stdin.read() if request == "-" else existing_file(request, "REQUEST").read_text()
-    try:
-        value = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise typer.BadParameter(f"not JSON: {error}", param_hint="REQUEST") from error
+    value = read_json(text, "REQUEST")
     if not isinstance(value, dict):
         raise typer.BadParameter("a request is a JSON object", param_hint="REQUEST")
     return value
@@ -459,59 +454,6 @@ def _scene(
     if texture is not None:
         scene["albedo_texture"] = texture if picture is None else client.upload(picture).digest
     return scene
-
-
-def receiver_value(text: str) -> Request:
-    """Read ``--receiver``: ``on``, a resolution, pairs, or JSON, where it has a BRDF of its own."""
-    if text == "on":
-        return {}
-    if text.startswith("{"):
-        given = _json(text, "--receiver")
-        return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
-    if "=" not in text:
-        return {"resolution": parse_value(text)}
-    given = key_values(text.split(","))
-    return legal_names(given, ReceiverPlane.model_fields, "the plane", "--receiver")
-
-
-def medium_value(text: str) -> Request:
-    """Read ``--subsurface``: a medium's name and ``mm_per_unit``, parameters, or JSON."""
-    if text.startswith("{"):
-        given = _json(text, "--subsurface")
-    else:
-        name, *pairs = text.split(",")
-        given = {} if "=" in name else {"medium": name}
-        given |= key_values([name, *pairs] if "=" in name else pairs)
-    given = legal_names(given, Subsurface.model_fields, "the medium", "--subsurface")
-    try:
-        Subsurface.model_validate(given)
-    except ValidationError as error:
-        complaints = [
-            ": ".join([*(str(place) for place in entry["loc"][:1]), entry["msg"]])
-            for entry in error.errors()
-        ]
-        raise typer.BadParameter("; ".join(complaints), param_hint="--subsurface") from error
-    return given
-
-
-def _json(text: str, option: str) -> Any:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise typer.BadParameter(f"not JSON: {error}", param_hint=option) from error
-
-
-def tangents_value(text: str) -> str | list[float]:
-    """Read ``--tangents``: a word, or a direction as x:y:z."""
-    if text in ("horizontal", "uv"):
-        return text
-    try:
-        x, y, z = (float(number) for number in text.split(":"))
-    except ValueError as error:
-        raise typer.BadParameter(
-            "write horizontal, uv, or a direction as 0:1:0", param_hint="--tangents"
-        ) from error
-    return [x, y, z]
 
 
 def _settings(pairs: list[str] | None, model: type[BaseModel]) -> Request:
