@@ -18,6 +18,7 @@ from prtbake_workers.basis.sh import eval_sh
 from prtbake_workers.geometry.mesh import face_area_vectors
 from prtbake_workers.geometry.ray_offset import offset_origins
 from prtbake_workers.planning.decision import Decision, settle
+from prtbake_workers.planning.interreflection import PROBE_MARGIN
 from prtbake_workers.planning.probe import draw_by_area
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted
@@ -134,7 +135,7 @@ def decide_subsurface(
     *,
     seed: int,
 ) -> ScatteringChoice:
-    """Decide part by part: taken where leaving it out costs more than the tolerance.
+    """Decide part by part: taken where leaving it out may cost more than the tolerance.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def decide_subsurface(
     if not probes:
         return ScatteringChoice(NOTHING_SCATTERS, ())
     chosen = {
-        part: settle(switch, probe.share > bake.subsurface_tolerance)[0]
+        part: settle(switch, PROBE_MARGIN * probe.share > bake.subsurface_tolerance)[0]
         for part, probe in probes.items()
     }
     largest = max(probe.share for probe in probes.values())
