@@ -46,7 +46,7 @@ def page(title: str, about: str, rows: Sequence[Measured]) -> str:
     return (
         f"{HEADER}\n\n# Against Mitsuba: {title}\n\n{about}\n\n"
         "## The settings\n\n"
-        "Seconds are those of the direct bake, in one thread; the first part's terms are given.\n\n"
+        "Seconds of CPU are those of the direct bake, in one thread; the first part's terms are given.\n\n"
         f"{_settings(rows)}\n\n"
         "## What explains the difference\n\n"
         "Relative L2 over the pixels, of Mitsuba's picture. Each line is one step further from it; "
@@ -70,7 +70,7 @@ def _count(rows: Sequence[Measured], name: str) -> int:
 
 def _settings(rows: Sequence[Measured]) -> str:
     return table(
-        ["setting", "centres", "directions", "terms", "vertices", "bounce rays", "seconds"],
+        ["setting", "centres", "directions", "terms", "vertices", "bounce rays", "CPU s"],
         (
             [
                 row.label, f"{row.n_centres:,}", f"{row.n_directions:,}", str(row.terms),
