@@ -126,9 +126,9 @@ def measured(scene: MitsubaScene, data: Path) -> list[Measured]:
             finer(mesh, rung.rounds if index in scene.fine_parts else 0)
             for index, mesh in enumerate(meshes)
         ]
-        began = time.process_time()
+        began = time.perf_counter()
         own = baked(cut, brdfs, bake)
-        seconds = time.process_time() - began
+        seconds = time.perf_counter() - began
         chain = pixel_chain(
             validation_of_baked(own, light, N_LOBES), view, scene.per_side, sampling,
             n_points=scene.n_points,

@@ -46,12 +46,13 @@ def page(title: str, about: str, rows: Sequence[Measured]) -> str:
     return (
         f"{HEADER}\n\n# Against Mitsuba: {title}\n\n{about}\n\n"
         "## The settings\n\n"
-        "Seconds of CPU are those of the direct bake, in one thread; the first part's terms are given.\n\n"
+        "Seconds are of the direct bake in one thread, by the clock: beside other work on the machine "
+        "they say little. Terms are those of the first part.\n\n"
         f"{_settings(rows)}\n\n"
         "## What explains the difference\n\n"
         "Relative L2 over the pixels, of Mitsuba's picture. Each line is one step further from it; "
         "*measured* is the baked result, before compression and lit by the projected environment, "
-        "against Mitsuba. Where bounces differ is all in their own line. A star says that a line is "
+        "against Mitsuba. All that bounces lack stands in their own line. A star says that a line is "
         f"below its own noise.\n\n{_budget(rows)}\n\n"
         f"The sum bounds what was measured, within the noise of that, in {_count(rows, 'is_bound')} "
         f"of {len(rows)} settings; what was measured is at least a third of the sum in "
@@ -70,7 +71,7 @@ def _count(rows: Sequence[Measured], name: str) -> int:
 
 def _settings(rows: Sequence[Measured]) -> str:
     return table(
-        ["setting", "centres", "directions", "terms", "vertices", "bounce rays", "CPU s"],
+        ["setting", "centres", "directions", "terms", "vertices", "bounce rays", "seconds"],
         (
             [
                 row.label, f"{row.n_centres:,}", f"{row.n_directions:,}", str(row.terms),
