@@ -40,8 +40,8 @@ def png(pixels):
 
 
 def obj(positions, faces, groups, normals=None):
-    """An OBJ file whose every face names its material."""
-    lines = ["v {:.17g} {:.17g} {:.17g}".format(*row) for row in positions]
+    """An OBJ file whose every face names its material; rows of six hold colours too."""
+    lines = ["v " + " ".join(f"{value:.17g}" for value in row) for row in positions]
     lines += [
         "vn {:.17g} {:.17g} {:.17g}".format(*row) for row in ([] if normals is None else normals)
     ]
@@ -253,11 +253,49 @@ def test_groups_of_one_material_are_one_part(store):
     assert names_of(store, materials={"lid": {"brdf": GLOSSY}}) == ["object"]
 
 
-def test_groups_that_differ_in_anything_of_a_material_are_apart(store):
-    """Also in what this version hands on without looking at it."""
-    plain = {"brdf": GLOSSY}
-    for other in ({"tangents": "uv"}, {"subsurface": {"mm_per_unit": 1.0, "medium": "marble"}}):
-        assert len(names_of(store, materials={"lid": plain, "spout": plain | other})) == 2
+@pytest.mark.parametrize(
+    ("field", "value", "found"),
+    [
+        ("tangents", [0.0, 1.0, 0.0], (0.0, 1.0, 0.0)),
+        ("subsurface", {"mm_per_unit": 1.0, "medium": "marble"}, None),
+        ("albedo_texture", None, None),
+    ],
+)
+def test_groups_that_differ_in_anything_of_a_material_are_apart(store, field, value, found):
+    plain = {"brdf": GREY}
+    materials = {"lid": plain, "spout": plain | {field: value}}
+    parts = parts_of(store, asset_request(receiver=None, materials=materials))
+    if value is None:
+        # the default, said aloud
+        assert [part.name for part in parts] == ["body, handle", "lid, spout"]
+        return
+    assert [part.name for part in parts] == ["body, handle", "lid", "spout"]
+    assert getattr(parts[2], field) == (found or value)
+    assert getattr(parts[1], field) != (found or value)
+
+
+def test_vertex_colours_go_to_the_materials_that_ask_for_them(store):
+    """Each part has those of its own vertices."""
+    mesh, _ = load_mesh(store, registered(store, "mesh", **TEAPOT)["canonical"])
+    shades = np.random.default_rng(3).random((mesh.n_vertices, 3))
+    data = obj(
+        np.hstack([mesh.positions, shades]), mesh.faces,
+        np.array(mesh.group_names)[mesh.face_groups],
+    )  # fmt: skip
+    painted = {"brdf": {"model": "lambert", "albedo": 0.9}, "vertex_colours": True}
+    request = asset_request(receiver=None, brdf=GREY, materials={"lid": painted})
+    source = {"blob": store.put_bytes(data), "format": "obj"}
+    rest, lid = parts_of(store, request, source)
+    assert rest.vertex_colours is None
+    assert lid.vertex_colours.shape == (lid.mesh.n_vertices, 3)
+    _, place = cKDTree(mesh.positions).query(lid.mesh.positions)
+    encoded = shades[place]
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    # stored in float32
+    np.testing.assert_allclose(lid.vertex_colours, linear, atol=1e-6)
+    with pytest.raises(SettingsError, match="no usable vertex colours") as caught:
+        parts_of(store, request)
+    assert caught.value.pointer == "/materials/lid/vertex_colours"
 
 
 def test_parts_are_named_after_their_groups_and_never_alike():

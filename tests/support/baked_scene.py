@@ -27,6 +27,7 @@ from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.validation.budget import ChainPicture
 from prtbake_workers.validation.chain import uncompressed_chains
 from prtbake_workers.validation.hits import trace_camera
+from prtbake_workers.validation.indirect import PathLight
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
 from support.bounce_scenes import opaque
 
@@ -55,13 +56,14 @@ class BakedScene:
         ]
         if not bounces:
             return lit
+        n_parts = len(self.brdfs)
         factorisations, albedo = reflection_of(
-            self.scene, self.factorisations, [None] * len(self.brdfs)
+            self.scene, self.factorisations, [None] * n_parts, [None] * n_parts
         )
         found = bounce_block(
             opaque(self.scene), lit,
             factorisations=factorisations, albedo=albedo, n_channels=3,
-            n_rays=self.settings.bounce_rays, seed=SEED,
+            n_rays=[self.settings.bounce_rays] * n_parts, seed=SEED,
             max_bounces=self.settings.max_bounces, tolerance=self.settings.bounce_tolerance,
         )  # fmt: skip
         # column j has colour j mod 3, and meets the channel of that colour
@@ -154,8 +156,9 @@ def pixel_chain(validation, view, per_side, settings: ValidateSettings, *, n_poi
     pixels = pixel_of(fine.pixels, view, per_side)
     chosen, weights = evenly(pixels, n_points or per_side**2)
     hits = picked(fine, chosen, validation.scene.faces)
+    paths = PathLight(validation, hits, size.reference_bounces(baked=validation.baked_bounces))
     (chain,) = uncompressed_chains(
-        validation, hits, [np.eye(3)], size, seed=SEED, advance=lambda: None
+        validation, hits, paths, [np.eye(3)], size, seed=SEED, advance=lambda: None
     )
     at = coo_array(
         (weights / per_side**2, (pixels[chosen], np.arange(len(chosen)))),
