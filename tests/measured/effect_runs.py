@@ -6,9 +6,9 @@ norm, area-weighted, of the part that loses most.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,38 +21,30 @@ from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.contract.settings import BakeSettings, Effects
 from prtbake_storage.hdf5.transfer import TransferFile, open_transfer
-from prtbake_storage.queue.stages import Results
+from prtbake_storage.queue.stages import Results, Stage
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stage
 
 LAST = "join"
 VERTICES_AT_ONCE = 4096
 
-TOLERANCES: dict[str, Callable[[BakeSettings], float | None]] = {
-    "view_dependence": lambda bake: bake.term_energy_lost,
-    "subsurface_scattering": lambda bake: bake.subsurface_tolerance,
+TOLERANCES = {
+    "view_dependence": "term_energy_lost",
+    "subsurface_scattering": "subsurface_tolerance",
 }
-"""Of effects that are not held against ``bounce_tolerance``."""
+"""Settings that effects are held against where it is not ``bounce_tolerance``."""
 
 Switches = Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Run:
-    """A finished bake: CPU seconds of its tasks, and where its transfer lies."""
+    """A finished bake: CPU seconds of its tasks, where its transfer lies, and what was decided."""
 
     seconds: float
     transfer: Path
-    plan: Mapping[str, Any]
-
-    def taken(self, effect: str) -> bool:
-        """Whether an effect was simulated."""
-        return taken(self.plan, effect)
-
-
-def taken(plan: Mapping[str, Any], effect: str) -> bool:
-    """Whether a plan simulates an effect."""
-    return any(one["taken"] for one in plan["effects"] if one["effect"] == effect)
+    decisions: Mapping[str, Mapping[str, Any]]
+    n_vertices: int
 
 
 class Bakes:
@@ -78,30 +70,41 @@ class Bakes:
             digest = store.put_bytes(scene.texture(data))
             self.request["albedo_texture"] = self.context["albedo_texture"] = digest
 
-    def run(
-        self, switches: Switches, differs_in: Run | None = None, effect: str = ""
-    ) -> Run | None:
-        """Bake with switches thrown; None where an effect is decided as before all the same."""
+    def run(self, switches: Switches) -> Run:
+        """Bake with switches thrown."""
+        planned = self._planned(switches)
+        return self._finished(*planned)
+
+    def run_otherwise(self, effect: str, decided: Run) -> Run | None:
+        """Bake with an effect forced the other way; None where it is decided alike all the same."""
+        taken = decided.decisions[effect]["taken"]
+        stages, results = self._planned({effect: "off" if taken else "on"})
+        if _decisions(results)[effect]["taken"] == taken:
+            return None
+        return self._finished(stages, results)
+
+    def _planned(self, switches: Switches) -> tuple[list[Stage], Results]:
         request = self.request | {"effects": dict(switches)}
         stages = REGISTRY.stages("bake", request, self.context)
         names = [stage.name for stage in stages]
         results = Results()
-        for stage in stages[: names.index(LAST) + 1]:
+        run_stage(stages[0], results, self.store, time.process_time)
+        return stages[1 : names.index(LAST) + 1], results
+
+    def _finished(self, stages: Sequence[Stage], results: Results) -> Run:
+        for stage in stages:
             run_stage(stage, results, self.store, time.process_time)
-            plan = results["plan"][0]["plan"]
-            if differs_in is not None and taken(plan, effect) == differs_in.taken(effect):
-                return None
         return Run(
             seconds=sum(cost.seconds for name in results for cost in results.measured(name)),
             transfer=self.store.local_path(results[LAST][0]["transfer"]),
-            plan=results["plan"][0]["plan"],
+            decisions=_decisions(results),
+            n_vertices=results["plan"][0]["plan"]["parts"][-1]["vertex_range"][1],
         )
 
-    def surely(self, switches: Switches) -> Run:
-        """Bake with switches thrown."""
-        found = self.run(switches)
-        assert found is not None
-        return found
+
+def _decisions(results: Results) -> dict[str, dict[str, Any]]:
+    """Give the decisions of a plan by their effects."""
+    return {one["effect"]: one for one in results["plan"][0]["plan"]["effects"]}
 
 
 @contextmanager
@@ -161,60 +164,53 @@ def measure(scene: EffectScene, data: Path, settings: BakeSettings) -> list[Row]
     """Bake a scene in all ways that it can be, and return a row an effect and one for all."""
     with TemporaryDirectory(prefix="prtbake-effects-") as folder:
         bakes = Bakes(scene, open_store((Path(folder) / "blobs").as_uri()), data, settings)
-        decided = bakes.surely({})
-        switches = [name for name in Effects.model_fields if any_decision(decided.plan, name)]
-        whole = bakes.surely(dict.fromkeys(switches, "on"))
-        nothing = bakes.surely(dict.fromkeys(switches, "off"))
-        n_vertices = decided.plan["parts"][-1]["vertex_range"][1]
-        rows = [
-            Row(
-                scene=scene.name,
-                effect=EVERYTHING,
-                vertices=n_vertices,
-                seconds_decided=decided.seconds,
-                seconds_on=whole.seconds,
-                seconds_off=nothing.seconds,
-                error_decided=squared_error(decided.transfer, whole.transfer),
-                error_off=squared_error(nothing.transfer, whole.transfer),
-            )
-        ]
+        decided = bakes.run({})
+        switches = [name for name in Effects.model_fields if name in decided.decisions]
+        whole, nothing = (bakes.run(dict.fromkeys(switches, way)) for way in ("on", "off"))
+        everything = Row(
+            scene=scene.name,
+            effect=EVERYTHING,
+            vertices=decided.n_vertices,
+            seconds_decided=decided.seconds,
+            seconds_on=whole.seconds,
+            seconds_off=nothing.seconds,
+            error_decided=squared_error(decided.transfer, whole.transfer),
+            error_off=squared_error(nothing.transfer, whole.transfer),
+        )
+        rows = [everything]
         for name in switches:
-            rows.append(_effect(scene.name, n_vertices, name, bakes, decided, whole, settings))
+            tolerance = getattr(settings, TOLERANCES.get(name, "bounce_tolerance"))
+            row = _undisputed(everything, name, decided, tolerance)
+            other = bakes.run_otherwise(name, decided)
+            if other is not None:
+                pair = (decided, other) if row.decided == "taken" else (other, decided)
+                row = _compared(row, *pair, whole)
+            rows.append(row)
         return rows
 
 
-def any_decision(plan: Mapping[str, Any], effect: str) -> dict[str, Any] | None:
-    """Find the decision about an effect."""
-    return next((one for one in plan["effects"] if one["effect"] == effect), None)
-
-
-def _effect(
-    scene: str,
-    n_vertices: int,
-    name: str,
-    bakes: Bakes,
-    decided: Run,
-    whole: Run,
-    settings: BakeSettings,
-) -> Row:
-    decision = any_decision(decided.plan, name)
-    assert decision is not None
-    row = Row(
-        scene=scene,
-        effect=name,
-        vertices=n_vertices,
+def _undisputed(everything: Row, effect: str, decided: Run, tolerance: float | None) -> Row:
+    """Enter what is known of an effect without the bake that has it the other way."""
+    decision = decided.decisions[effect]
+    return Row(
+        scene=everything.scene,
+        effect=effect,
+        vertices=everything.vertices,
         decided="taken" if decision["taken"] else "left",
         predicted=decision["predicted_error_otherwise"],
-        tolerance=TOLERANCES.get(name, lambda bake: bake.bounce_tolerance)(settings),
-        seconds_decided=decided.seconds,
-        error_decided=squared_error(decided.transfer, whole.transfer),
+        tolerance=tolerance,
+        seconds_decided=everything.seconds_decided,
+        error_decided=everything.error_decided,
     )
-    other = bakes.run({name: "off" if decision["taken"] else "on"}, decided, name)
-    if other is None:
-        return row
-    on, off = (decided, other) if decision["taken"] else (other, decided)
-    return row.with_runs(
-        seconds=(on.seconds, off.seconds),
-        errors=tuple(squared_error(one.transfer, whole.transfer) for one in (on, off)),
+
+
+def _compared(row: Row, on: Run, off: Run, whole: Run) -> Row:
+    """Enter the bakes with an effect and without it."""
+    return replace(
+        row,
+        seconds_on=on.seconds,
+        seconds_off=off.seconds,
+        error_on=squared_error(on.transfer, whole.transfer),
+        error_off=squared_error(off.transfer, whole.transfer),
         changes=squared_error(off.transfer, on.transfer),
     )

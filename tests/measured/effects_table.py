@@ -3,7 +3,7 @@
 import csv
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -53,15 +53,6 @@ class Row:
     error_decided: float = 0.0
     error_on: float | None = None
     error_off: float | None = None
-
-    def with_runs(
-        self, *, seconds: tuple[float, float], errors: tuple[float, float], changes: float
-    ) -> "Row":
-        """Enter the bakes with the effect and without it."""
-        return replace(
-            self, seconds_on=seconds[0], seconds_off=seconds[1], error_on=errors[0],
-            error_off=errors[1], changes=changes,
-        )  # fmt: skip
 
     @property
     def is_effect(self) -> bool:

@@ -69,7 +69,7 @@ def test_errors_are_those_of_the_coefficients(tmp_path):
         (replace(BALL, request={"brdf": GLOSSY}), "view_dependence"),
     ):
         bakes = Bakes(scene, open_store((tmp_path / scene.name).as_uri()), tmp_path, SETTINGS)
-        on, off = (bakes.surely({switch: way}) for way in ("on", "off"))
+        on, off = (bakes.run({switch: way}) for way in ("on", "off"))
         with open_transfer(on.transfer) as a, open_transfer(off.transfer) as b:
             part = a.header.parts[0]
             more, less = a.read(0).astype(np.float64), b.read(0).astype(np.float64)

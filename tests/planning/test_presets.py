@@ -133,3 +133,11 @@ def test_a_sharp_brdf_gets_the_view_columns_that_it_needs():
         CompressSettings(), "draft", n_verts=300_000, singular_values=spectrum, **common
     )
     assert large.ranks[0] == max(LADDER["draft"].ranks[0], (1 << 30) // (4 * 162 * 300_000))
+
+
+def test_a_black_brdf_needs_no_more_view_columns_than_the_ladder_gives():
+    found = resolve_compression(
+        CompressSettings(), "medium", n_verts=100, n_terms=16, n_coeffs=162,
+        singular_values=np.zeros(16),
+    )  # fmt: skip
+    assert found.ranks == LADDER["medium"].ranks

@@ -29,7 +29,7 @@ class Effects(Wire):
     view_dependence: Switch = "auto"
     """Reflection that changes with the view."""
     interreflection: Switch = "auto"
-    """Light that bounces between surfaces."""
+    """Light that bounces between surfaces; `on` takes all of `bounce_rays`."""
     colour_bleeding: Switch = "auto"
     """Bounced light of each colour by itself."""
     subsurface_scattering: Switch = "auto"
