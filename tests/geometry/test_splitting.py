@@ -137,7 +137,7 @@ def test_bounced_light_does_not_break_at_a_border():
     def bounced(scene):
         block = bounce_block(
             opaque(scene), sent, factorisations=[DIFFUSE] * 2, albedo=Albedo.constant(0.8),
-            n_channels=1, n_rays=16, seed=3, max_bounces=2, tolerance=0.0,
+            n_channels=1, n_rays=[16, 16], seed=3, max_bounces=2, tolerance=0.0,
         )  # fmt: skip
         return np.concatenate(block.added)
 
