@@ -64,6 +64,10 @@ class Bakes:
             "mesh": registered(store, "mesh", **scene.mesh(store, data)),
             "brdf": {"spec": scene.request["brdf"]},
             "albedo_texture": None,
+            "materials": {
+                name: {"spec": material["brdf"]}
+                for name, material in scene.request.get("materials", {}).items()
+            },
             "artefacts": {},
         }
         if scene.texture is not None:
