@@ -97,6 +97,11 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         None if is_isotropic(brdf) else Grain.of(part.name, part.mesh, part.tangents)
         for part, brdf in zip(parts, brdfs, strict=True)
     ]
+    unread = [
+        part.name
+        for part, own in zip(parts, grain, strict=True)
+        if own is None and part.role == "object" and part.tangents != "horizontal"
+    ]
     scene = Scene.from_parts(
         [part.mesh for part in parts],
         frame_seed=settings.bake.frame_seed,
@@ -161,7 +166,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[
             *notes,
-            *grain_notes(grain, parts[0].tangents),
+            *grain_notes(grain, unread),
             *repairs(report),
             *report.get("warnings", []),
         ],

@@ -76,12 +76,12 @@ class Grain:
         }
 
 
-def grain_notes(grain: Sequence[Grain | None], asked: Tangents) -> list[str]:
-    """Say where tangents are missing, and where the object asks for some that nothing reads."""
+def grain_notes(grain: Sequence[Grain | None], unread: Sequence[str]) -> list[str]:
+    """Say where tangents are missing, and which isotropic parts ask for some that nothing reads."""
     notes = [own.singularities for own in grain if own is not None and own.singularities]
-    if grain[0] is None and asked != "horizontal":
-        notes.append("the object's BRDF is isotropic: its tangents were not read")
-    return notes
+    return notes + [
+        f"the BRDF of {part} is isotropic: its tangents were not read" for part in unread
+    ]
 
 
 def decide_frames(part_terms: Sequence[int], grain: Sequence[Grain | None]) -> Decision:
