@@ -89,12 +89,13 @@ SCENES = (
         rungs=(
             Rung("draft", "draft"),
             Rung("draft, plane's triangles in 16", "draft", rounds=2),
+            Rung("in 16, 29 terms", "draft", {"term_energy_lost": 0.004}, rounds=2),
         ),
     ),
     MitsubaScene(
         "shaderball", "Shaderball of diffuse and rough metal", shaderball,
         n_bounces=2, n_paths=4224, per_side=16, n_points=9, samples=128, paths=16, fine_parts=(),
-        rungs=(Rung("draft", "draft"),),
+        rungs=(Rung("draft", "draft"), Rung("low", "low")),
     ),
 )  # fmt: skip
 
