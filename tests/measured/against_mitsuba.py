@@ -6,7 +6,6 @@ into ``docs``.  ``--quick`` tries the command with settings whose figures mean n
 ``docs`` alone.
 """
 
-import argparse
 import os
 import sys
 import time
@@ -22,6 +21,7 @@ import numpy as np
 
 from benchmarks.run import cpu_name
 from measured.mitsuba_pages import Measured, page
+from measured.options import Options
 from prtbake_storage import __version__
 from prtbake_storage.contract.settings import AssetSettings, Quality, ValidateSettings
 from prtbake_workers.planning.presets import resolve_stages
@@ -30,7 +30,6 @@ from support.baked_scene import baked, finer, pixel_chain, validation_of_baked
 from support.mitsuba_render import by_mitsuba
 from support.mitsuba_scenes import bunny_on_a_plane, overcast_sky, shaderball, suzanne_in_a_box
 
-ROOT = Path(__file__).resolve().parents[2]
 N_PARTS = 8
 """Passes of our reference and independent pictures of Mitsuba's: they are differenced in pairs."""
 
@@ -164,21 +163,11 @@ def about(scene: MitsubaScene, data: Path) -> str:
 def main(arguments: list[str]) -> int:
     """Measure the scenes named, or all, and write their pages."""
     known = [scene.name for scene in SCENES]
-    parser = argparse.ArgumentParser(description="Hold baked results against Mitsuba 3, anew.")
-    parser.add_argument("--quick", action="store_true", help="coarse settings, to try the command")
-    parser.add_argument("--to", type=Path, help="docs; with --quick results-output/docs")
-    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(known)}")
-    options = parser.parse_args(arguments)
-    unknown = sorted(set(options.names) - set(known))
-    if unknown:
-        parser.error(f"no scene {', '.join(unknown)}; there are {', '.join(known)}")
-    data = Path(os.environ.get("PRTBAKE_DATA", "")).resolve()
-    if not (data / "meshes").is_dir():
-        parser.error("PRTBAKE_DATA must name the folder of the real data")
-    to = options.to or (ROOT / "results-output" / "docs" if options.quick else ROOT / "docs")
-    (to / "measured").mkdir(parents=True, exist_ok=True)
+    options = Options.read(arguments, "Hold baked results against Mitsuba 3, anew.", known)
+    data = options.data
+    (options.to / "measured").mkdir(parents=True, exist_ok=True)
     for scene in SCENES:
-        if scene.name not in (options.names or known):
+        if scene.name not in options.names:
             continue
         own = scene
         if options.quick:
@@ -186,7 +175,7 @@ def main(arguments: list[str]) -> int:
                 scene, n_paths=128, per_side=2, n_points=4, samples=8, paths=1, rungs=(QUICK,)
             )
         said = about(own, data) + (" Tried with `--quick`: no result." if options.quick else "")
-        path = to / "measured" / f"mitsuba-{scene.name}.md"
+        path = options.to / "measured" / f"mitsuba-{scene.name}.md"
         path.write_text(page(scene.title, said, measured(own, data)))
         sys.stdout.write(f"{path}\n")
     return 0

@@ -7,7 +7,6 @@ and pictures as they came stay in ``results-output``.  ``--quick`` tries the com
 whose figures mean nothing, and leaves ``docs`` alone.
 """
 
-import argparse
 import json
 import os
 import platform
@@ -26,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from benchmarks.run import cpu_name
+from measured.options import DOWNLOADS, Options
 from measured.pages import RankPair, Run, page
 from measured.scenes import DATA, MAX_ITERATIONS, N_CLUSTERS, RANK_PAIRS, SCENES, Scene
 from prtbake.cli.serve import raise_interrupt
@@ -33,8 +33,6 @@ from prtbake.launch import LocalService
 from prtbake_storage import __version__
 
 N_WORKERS = 2
-ROOT = Path(__file__).resolve().parents[2]
-DOWNLOADS = ROOT / "results-output"
 PICTURES = {
     "validation": ("reference, asset, difference (white is a quarter of the exposed range)",
                    "validation-front.png"),
@@ -127,28 +125,16 @@ def machine_line() -> str:
 def main(arguments: list[str]) -> int:
     """Measure the scenes named, or all, write what came of them, and return the exit code."""
     known = [scene.name for scene in SCENES]
-    parser = argparse.ArgumentParser(description="Measure what docs/measured says, anew.")
-    parser.add_argument("--quick", action="store_true", help="coarse settings, to try the command")
-    parser.add_argument("--to", type=Path, help="docs; with --quick results-output/docs")
-    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(known)}")
-    options = parser.parse_args(arguments)
-    unknown = sorted(set(options.names) - set(known))
-    if unknown:
-        parser.error(f"no scene {', '.join(unknown)}; there are {', '.join(known)}")
-    data = Path(os.environ.get("PRTBAKE_DATA", "")).resolve()
-    if not (data / "meshes").is_dir():
-        parser.error("PRTBAKE_DATA must name the folder of the real data")
-    to = options.to or (DOWNLOADS / "docs" if options.quick else ROOT / "docs")
-
+    options = Options.read(arguments, "Measure what docs/measured says, anew.", known)
     # from here on SIGTERM unwinds like Ctrl-C, so that the service is stopped
     signal.signal(signal.SIGTERM, raise_interrupt)
     with tempfile.TemporaryDirectory(prefix="prtbake-results-") as temporary:
         home = Path(temporary)
         with LocalService(home, n_workers=N_WORKERS, embedded=True):
             for scene in SCENES:
-                if scene.name in (options.names or known):
-                    text, pictures = measured(home, scene, data, quick=options.quick)
-                    write(to, scene.name, text, pictures)
+                if scene.name in options.names:
+                    text, pictures = measured(home, scene, options.data, quick=options.quick)
+                    write(options.to, scene.name, text, pictures)
     return 0
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.settings import Effects, Quality
+from prtbake_storage.contract.settings import BakeSettings, Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
@@ -16,7 +16,7 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
-from prtbake_workers.jobs.materials import part_inputs
+from prtbake_workers.jobs.materials import PartInput, part_inputs
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
@@ -93,15 +93,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     textures = tuple(part.albedo_texture for part in parts)
     colours = tuple(part.vertex_colours for part in parts)
     brdfs = [load_brdf(store, part.brdf) for part in parts]
-    grain = [
-        None if is_isotropic(brdf) else Grain.of(part.name, part.mesh, part.tangents)
-        for part, brdf in zip(parts, brdfs, strict=True)
-    ]
-    unread = [
-        part.name
-        for part, own in zip(parts, grain, strict=True)
-        if own is None and part.role == "object" and part.tangents != "horizontal"
-    ]
+    grain = _grain_of(parts, brdfs)
     scene = Scene.from_parts(
         [part.mesh for part in parts],
         frame_seed=settings.bake.frame_seed,
@@ -149,11 +141,6 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     factorisations = tuple(
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
-    notes = [
-        f"{name}: {factorisation.note}" if len(names) > 1 else factorisation.note
-        for name, factorisation in zip(names, factorisations, strict=True)
-        if factorisation.note
-    ]
     plan = make_plan(
         scene,
         names,
@@ -165,8 +152,8 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[
-            *notes,
-            *grain_notes(grain, unread),
+            *_term_notes(names, factorisations),
+            *grain_notes(grain, _unread_tangents(parts, grain)),
             *repairs(report),
             *report.get("warnings", []),
         ],
@@ -174,11 +161,24 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scattering=scattering.parts,
         n_oriented=sum(own is not None for own in grain),
     )
+    header = _header(args, settings.bake, parts, plan, scattering.parts)
+    return PlannedScene(scene, factorisations, textures, colours, header), plan
+
+
+def _header(
+    args: dict[str, Any],
+    bake: BakeSettings,
+    parts: Sequence[PartInput],
+    plan: Plan,
+    scattering: Sequence[int],
+) -> dict[str, Any]:
+    """Give what the planned scene says of itself: see `PlannedScene`."""
     bounces = None
     if plan.bounces is not None:
         bounces = {name: value for name, value in asdict(plan.bounces).items() if name != "blocks"}
-    header = {
-        "bake": settings.bake.model_dump(mode="json"),
+    dumped = bake.model_dump(mode="json")
+    return {
+        "bake": dumped,
         "bounces": bounces,
         "parts": [
             {
@@ -192,18 +192,42 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         ],
         "provenance": {
             "inputs": {name: args[name] for name in INPUTS},
-            "bake": settings.bake.model_dump(mode="json"),
+            "bake": dumped,
             "quality": args["quality"],
             "tiles": [[list(tile) for tile in part.tiles] for part in plan.parts],
             "seed": args["seed"],
             "versions": versions(),
-            "effects": [decision.to_dict() for decision in effects],
+            "effects": [decision.to_dict() for decision in plan.effects],
             "interreflection": bounces if bounces and bounces["max_bounces"] else None,
-            "scattering": list(scattering.parts),
+            "scattering": list(scattering),
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
-    return PlannedScene(scene, factorisations, textures, colours, header), plan
+
+
+def _grain_of(parts: Sequence[PartInput], brdfs: Sequence[Brdf]) -> list[Grain | None]:
+    """Lay tangents over the parts whose BRDF depends on them."""
+    return [
+        None if is_isotropic(brdf) else Grain.of(part.name, part.mesh, part.tangents)
+        for part, brdf in zip(parts, brdfs, strict=True)
+    ]
+
+
+def _unread_tangents(parts: Sequence[PartInput], grain: Sequence[Grain | None]) -> list[str]:
+    """Name the parts of the object that ask for tangents which nothing reads."""
+    return [
+        part.name
+        for part, own in zip(parts, grain, strict=True)
+        if own is None and part.role == "object" and part.tangents != "horizontal"
+    ]
+
+
+def _term_notes(names: Sequence[str], factorisations: Sequence[Factorisation]) -> list[str]:
+    return [
+        f"{name}: {factorisation.note}" if len(names) > 1 else factorisation.note
+        for name, factorisation in zip(names, factorisations, strict=True)
+        if factorisation.note
+    ]
 
 
 def _factorise_all(
