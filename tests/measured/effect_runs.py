@@ -123,9 +123,8 @@ def squared_error(of: Path, reference: Path) -> float:
 
     ``sum_v area |T - R|^2 / sum_v area |R|^2`` over whitened coefficients; terms are orthonormal,
     and one that a transfer lacks is zero there.  One channel stands for three where only one of
-    the two has three.  The albedo that is kept beside transfer counts where the two differ in it,
-    as where a medium scatters or is taken as a surface.  1 where the reference is black and the
-    other is not.
+    the two has three.  The albedo that is kept beside transfer counts: on a black surface nothing
+    differs.  1 where the reference is black and the other is not.
     """
     if of == reference:
         return 0.0
@@ -135,14 +134,11 @@ def squared_error(of: Path, reference: Path) -> float:
             zip(ours.header.parts, theirs.header.parts, strict=True)
         ):
             difference = norm = 0.0
-            tint = [np.ones(1), np.ones(1)]
-            if not np.array_equal(own.albedo, other.albedo):
-                tint = [own.albedo, other.albedo]
             for start in range(0, own.n_vertices, VERTICES_AT_ONCE):
                 areas = own.areas[start : start + VERTICES_AT_ONCE]
                 stop = start + len(areas)
-                a = _rows(ours.read(index, start, stop), own.n_channels, tint[0])
-                b = _rows(theirs.read(index, start, stop), other.n_channels, tint[1])
+                a = _rows(ours.read(index, start, stop), own.n_channels, own.albedo)
+                b = _rows(theirs.read(index, start, stop), other.n_channels, other.albedo)
                 terms = max(a.shape[2], b.shape[2])
                 a, b = (_padded(rows, terms) for rows in (a, b))
                 # broadcasting repeats one channel beside three

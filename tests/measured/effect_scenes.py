@@ -95,7 +95,7 @@ def box_texture(_data: Path) -> bytes:
 
 PLANE = {"resolution": 64, "albedo": 0.7}
 GLOSSY = {"model": "ggx", "kd": 0.3, "ks": 0.6, "alpha": 0.45, "f0": 0.2}
-BRUSHED = {"model": "ward", "kd": 0.2, "ks": 0.5, "alpha_x": 0.4, "alpha_y": 0.15}
+BRUSHED = {"model": "ward", "kd": 0.4, "ks": 0.3, "alpha_x": 0.7, "alpha_y": 0.35}
 METAL = {"model": "ggx", "kd": 0.1, "ks": 1.0, "alpha": 0.6, "f0": [0.9, 0.6, 0.3]}
 WAX = {
     "mm_per_unit": 1.0,

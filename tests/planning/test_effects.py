@@ -84,6 +84,22 @@ def test_a_dent_calls_for_self_shadowing_and_says_what_it_would_cost():
     assert decision.evidence["blocked_share"] > 0.0
 
 
+def test_shadows_on_a_black_object_are_not_seen_but_fall_on_its_receiver():
+    black = factorise(Lambert(np.array([0.0])))
+    dented = dented_sphere()
+    meshes = [dented, receiver_plane(dented.bounds, resolution=8, extent=2.0, gap=0.0)]
+    by_name, found, _ = decisions(meshes, watertight=True, factorisation=black)
+    decision = by_name["self_shadowing"]
+    assert not decision.taken
+    assert "black" in decision.reason
+    assert decision.predicted_error_otherwise == 0.0
+    assert by_name["receiver_shadows"].predicted_error_otherwise > 0.001
+    assert 0 in occluders_of(1, ["object", "receiver"], found)
+    # as soon as it reflects anything they are
+    grey = factorise(Lambert(np.array([0.01])))
+    assert decisions(meshes, watertight=True, factorisation=grey)[0]["self_shadowing"].taken
+
+
 def extruded(outline):
     """A closed prism over a polygon given counter-clockwise from above, in the plane y = 0."""
     path = trimesh.creation.extrude_triangulation(

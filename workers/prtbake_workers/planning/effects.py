@@ -165,13 +165,22 @@ def _probe_parts(
     ]
     rays = sum(count for _, _, count in found)
     return _Probed(
-        ratio=max(ratio for ratio, _, _ in found),
+        # what nothing reflects is no error
+        ratio=max(
+            0.0 if _is_black(factorisations[part]) else ratio
+            for part, (ratio, _, _) in zip(parts, found, strict=True)
+        ),
         share=sum(share * count for _, share, count in found) / rays,
         rays=rays,
         named={names[part]: share for part, (_, share, _) in zip(parts, found, strict=True)}
         if len(parts) > 1
         else {},
     )
+
+
+def _is_black(factorisation: Factorisation) -> bool:
+    """Tell whether a part reflects nothing: then nothing that befalls its light is seen."""
+    return not factorisation.albedo.any()
 
 
 def _of_role(roles: Sequence[Role], role: Role) -> list[int]:
@@ -192,17 +201,19 @@ def _self_shadowing(
     """Decide on the light that the object, all of its parts together, takes from itself."""
     defect = convexity_defect(shape)
     own = Accelerator(shape.positions, shape.faces)
-    found = _probe_parts(scene, own, _of_role(roles, "object"), names, factorisations, seed)
+    parts = _of_role(roles, "object")
+    found = _probe_parts(scene, own, parts, names, factorisations, seed)
+    black = all(_is_black(factorisations[part]) for part in parts)
     convex = watertight and defect <= CONVEX_TOLERANCE and found.share == 0.0
     # a probe can miss shadows that are deep where they fall; this bound holds at every point
     most = float("inf")
     if watertight and not convex:
-        most = max(
-            scattered_shadows(shape, factorisations[part]) for part in _of_role(roles, "object")
-        )
+        most = max(scattered_shadows(shape, factorisations[part]) for part in parts)
     scattered = most < tolerance and found.ratio < tolerance
-    taken, forced = settle(switch, not (convex or scattered))
-    if convex:
+    taken, forced = settle(switch, not (convex or scattered or black))
+    if black:
+        reason = "the object is black: shadows on it are not seen"
+    elif convex:
         reason = "a closed convex mesh cannot shadow itself: no ray is needed"
     elif scattered:
         reason = f"closed convex pieces far apart take at most {most:.1e} from each other"
