@@ -11,8 +11,6 @@ from prtbake_workers.jobs.report import gather
 from prtbake_workers.jobs.scene_file import read_scene
 from prtbake_workers.report.account import make_report
 from prtbake_workers.report.html import report_page
-from prtbake_workers.report.account import make_report
-from prtbake_workers.report.html import report_page
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
 from support.bounce_scenes import opaque
@@ -132,17 +130,6 @@ def test_the_report_tells_what_each_bounce_added(coloured):
     assert any("max_bounces = 4" in note for note in account["bounce_notes"])
     assert account["bounce_counters"]["bounce_hits"] > 0
     assert decided["interreflection"]["forced"]
-
-
-def test_the_page_shows_the_bounces_of_every_part(coloured):
-    account = gather("x", coloured)["bounces"]
-    empty = make_report(title="x", stages=[])
-    page = report_page(empty | {"bounces": account}, {})
-    for name, added in account["added"].items():
-        shown = "".join(f'<td class="n">{100 * share:.3g} %</td>' for share in added)
-        assert f"<td>{name}</td>{shown}" in page
-    assert "each colour has its own" in page
-    assert "Bounces" not in report_page(empty, {})
 
 
 def test_the_page_shows_the_bounces_of_every_part(coloured):

@@ -73,9 +73,11 @@ def test_errors_are_those_of_the_coefficients(tmp_path):
         with open_transfer(on.transfer) as a, open_transfer(off.transfer) as b:
             part = a.header.parts[0]
             more, less = a.read(0).astype(np.float64), b.read(0).astype(np.float64)
+            albedo = part.albedo.astype(np.float64)[:, None]
         if switch == "colour_bleeding":
             assert (more.shape[1], less.shape[1]) == (3, 1)
-            less = np.repeat(less, 3, axis=1)
+            assert len(set(albedo.ravel())) > 1
+            more, less = albedo * more, albedo * np.repeat(less, 3, axis=1)
         else:
             assert more.shape[1] > less.shape[1] == 1
             less = np.pad(less, ((0, 0), (0, more.shape[1] - 1), (0, 0)))
