@@ -1,29 +1,16 @@
 """The sum of products of an isotropic BRDF: radial functions times waves of the azimuth."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from prtbake_storage.errors import CorruptArtefact
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
-from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf
+from prtbake_workers.brdf.base import COSINE_FLOOR
 from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
+from prtbake_workers.brdf.hemisphere_grid import azimuthal_blocks, norm_of_order
 from prtbake_workers.brdf.radial_table import RadialTable
-
-TABLE_ARRAYS = (
-    "orders",
-    "parity",
-    "psi_radial",
-    "phi_radial",
-    "singular_values",
-    "psi_table",
-    "phi_table",
-)
-TABLE_NUMBERS = ("n_theta", "n_phi", "energy_lost", "requested_terms", "constant_phi", "note")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,6 +29,24 @@ class AzimuthalFactorisation(Factorisation):
     psi_table, phi_table
         The same at nodes, see `RadialTable`.
     """
+
+    TABLE_ARRAYS: ClassVar = (
+        "orders",
+        "parity",
+        "psi_radial",
+        "phi_radial",
+        "singular_values",
+        "psi_table",
+        "phi_table",
+    )
+    TABLE_NUMBERS: ClassVar = (
+        "n_theta",
+        "n_phi",
+        "energy_lost",
+        "requested_terms",
+        "constant_phi",
+        "note",
+    )
 
     orders: Int32[I32, " terms"]
     parity: Int32[I32, " terms"]
@@ -75,24 +80,6 @@ class AzimuthalFactorisation(Factorisation):
     def unit_of_term(self) -> Int32[I32, " terms"]:
         """Which radial function each term uses; the two of a pair share one."""
         return np.cumsum(self.parity == 0, dtype=np.int32) - np.int32(1)
-
-    def eval_psi(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
-        """Evaluate the light side, without cosine; 0 below the horizon."""
-        return self._psi.evaluate(wi)[..., 0]
-
-    def eval_phi(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
-        """Evaluate the view side, without cosine; 0 below the horizon."""
-        return self._phi.evaluate(wo)
-
-    def psi_lookup(
-        self,
-        x: Float32[F32, " n"],
-        y: Float32[F32, " n"],
-        z: Float32[F32, " n"],
-        out: Float32[F32, "terms n"] | None = None,
-    ) -> Float32[F32, "terms n"]:
-        """Evaluate the light side fast: float32, local components in, one contiguous row a term."""
-        return self._psi.look_up(x, y, z, out)
 
     def eval_psi_exact(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
         """Evaluate the light side by its defining sum over the view grid, without a table."""
@@ -156,43 +143,6 @@ class AzimuthalFactorisation(Factorisation):
             phi_radial=self.phi_radial * colour,
             phi_table=self.phi_table * colour.astype(np.float32),
             brdf=None,
-        )
-
-    def tables(self) -> dict[str, Any]:
-        """Give everything but the BRDF as small arrays and plain values, for storage."""
-        return {
-            **{name: getattr(self, name) for name in TABLE_ARRAYS},
-            "n_theta": self.grid.n_theta,
-            "n_phi": self.grid.n_phi,
-            "energy_lost": self.energy_lost,
-            "requested_terms": -1 if self.requested_terms is None else self.requested_terms,
-            "constant_phi": self.is_constant_phi,
-            "note": self.note or "",
-        }
-
-    @classmethod
-    def from_tables(
-        cls, tables: Mapping[str, Any], *, brdf: Brdf | None = None
-    ) -> "AzimuthalFactorisation":
-        """Rebuild from `tables`; with the BRDF given the exact extension works again.
-
-        Raises
-        ------
-        CorruptArtefact
-            An entry is missing; the message names it.
-        """
-        missing = [name for name in TABLE_ARRAYS + TABLE_NUMBERS if name not in tables]
-        if missing:
-            raise CorruptArtefact(f"the factorisation's tables lack {', '.join(missing)}")
-        requested = int(tables["requested_terms"])
-        return cls(
-            grid=HemisphereGrid(int(tables["n_theta"]), int(tables["n_phi"])),
-            **{name: np.asarray(tables[name]) for name in TABLE_ARRAYS},
-            energy_lost=float(tables["energy_lost"]),
-            requested_terms=None if requested < 0 else requested,
-            note=str(tables["note"]) or None,
-            is_constant_phi=bool(tables["constant_phi"]),
-            brdf=brdf,
         )
 
     @cached_property

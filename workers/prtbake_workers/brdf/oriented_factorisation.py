@@ -1,17 +1,14 @@
 """The sum of products of an anisotropic BRDF: functions that are even or odd in x and in y."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from prtbake_storage.errors import CorruptArtefact
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
-from prtbake_workers.brdf.base import COSINE_FLOOR, Brdf
+from prtbake_workers.brdf.base import COSINE_FLOOR
 from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid
 from prtbake_workers.brdf.parity import (
     interpolation,
     parity_rows,
@@ -21,9 +18,6 @@ from prtbake_workers.brdf.parity import (
 )
 from prtbake_workers.brdf.quadrant_table import QuadrantTable
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
-
-TABLE_ARRAYS = ("parities", "psi_grid", "phi_grid", "singular_values", "psi_rings", "phi_rings")
-TABLE_NUMBERS = ("n_theta", "n_phi", "energy_lost", "requested_terms", "note")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,6 +35,16 @@ class OrientedFactorisation(Factorisation):
     psi_rings, phi_rings
         The same at equal steps of r = sqrt(1 - cos theta) and at the grid's azimuths.
     """
+
+    TABLE_ARRAYS: ClassVar = (
+        "parities",
+        "psi_grid",
+        "phi_grid",
+        "singular_values",
+        "psi_rings",
+        "phi_rings",
+    )
+    TABLE_NUMBERS: ClassVar = ("n_theta", "n_phi", "energy_lost", "requested_terms", "note")
 
     parities: Int32[I32, "terms 2"]
     psi_grid: Float64[F64, "theta quad terms"]
@@ -62,24 +66,6 @@ class OrientedFactorisation(Factorisation):
     def albedo(self) -> Float32[F32, " channels"]:
         """One: phi holds all colours."""
         return np.ones(1, np.float32)
-
-    def eval_psi(self, wi: Float64[F64, "n 3"]) -> Float64[F64, "n terms"]:
-        """Evaluate the light side, without cosine; 0 below the horizon."""
-        return self._psi.evaluate(wi)[..., 0]
-
-    def eval_phi(self, wo: Float64[F64, "n 3"]) -> Float64[F64, "n terms channels"]:
-        """Evaluate the view side, without cosine; 0 below the horizon."""
-        return self._phi.evaluate(wo)
-
-    def psi_lookup(
-        self,
-        x: Float32[F32, " n"],
-        y: Float32[F32, " n"],
-        z: Float32[F32, " n"],
-        out: Float32[F32, "terms n"] | None = None,
-    ) -> Float32[F32, "terms n"]:
-        """Evaluate the light side fast: float32, local components in, one contiguous row a term."""
-        return self._psi.look_up(x, y, z, out)
 
     def rings_exact(
         self, cosines: Float64[F64, " n"]
@@ -151,42 +137,6 @@ class OrientedFactorisation(Factorisation):
             phi_grid=self.phi_grid * colour,
             phi_rings=self.phi_rings * colour.astype(np.float32),
             brdf=None,
-        )
-
-    def tables(self) -> dict[str, Any]:
-        """Give everything but the BRDF as small arrays and plain values, for storage."""
-        return {
-            **{name: getattr(self, name) for name in TABLE_ARRAYS},
-            "n_theta": self.grid.n_theta,
-            "n_phi": self.grid.n_phi,
-            "energy_lost": self.energy_lost,
-            "requested_terms": -1 if self.requested_terms is None else self.requested_terms,
-            "note": self.note or "",
-        }
-
-    @classmethod
-    def from_tables(
-        cls, tables: Mapping[str, Any], *, brdf: Brdf | None = None
-    ) -> "OrientedFactorisation":
-        """Rebuild from `tables`; with the BRDF given the exact extension works again.
-
-        Raises
-        ------
-        CorruptArtefact
-            An entry is missing; the message names it.
-        """
-        missing = [name for name in TABLE_ARRAYS + TABLE_NUMBERS if name not in tables]
-        if missing:
-            raise CorruptArtefact(f"the factorisation's tables lack {', '.join(missing)}")
-        requested = int(tables["requested_terms"])
-        return cls(
-            grid=HemisphereGrid(int(tables["n_theta"]), int(tables["n_phi"])),
-            **{name: np.asarray(tables[name]) for name in TABLE_ARRAYS},
-            energy_lost=float(tables["energy_lost"]),
-            requested_terms=None if requested < 0 else requested,
-            note=str(tables["note"]) or None,
-            is_constant_phi=False,
-            brdf=brdf,
         )
 
     @cached_property
