@@ -110,8 +110,8 @@ def test_three_bounces_are_simulated_and_accounted_for(report) -> None:
 def test_the_budget_explains_what_the_picture_is_off(shaderball, report) -> None:
     budget = report["budget"]
     assert budget["sum_of_lines"] / 3 <= budget["total"] <= budget["sum_of_lines"]
-    # draft settings: an eighth of the picture's light
-    assert budget["total"] <= 0.25
+    # 13.8 % at these settings, about half of it the noise of a reference of 4 passes
+    assert budget["total"] <= 0.2
     job, folder = shaderball
     names = {artefact.name for artefact in job.artefacts}
     assert {"preview-front.png", "validation-front.png"} <= names

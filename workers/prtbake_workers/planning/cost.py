@@ -34,7 +34,6 @@ SCATTERING_ENTRIES = 350
 """Of a row: clusters, and corners of triangles."""
 SCATTERED_PATHS_PER_SECOND = 5.0e4
 """Paths that begin on a medium, with the lines that look for where light entered."""
-GZIP_BYTES_PER_SECOND = 3.0e7
 CHILD_START_S = 1.5
 ORIENTED_SECONDS, ORIENTED_BYTES = 8.0, 300_000_000
 """Of factorising one anisotropic BRDF; an isotropic one takes a fraction of a second."""
