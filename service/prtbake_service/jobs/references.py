@@ -13,7 +13,12 @@ from prtbake_storage.contract.jobs import (
     RenderRequest,
     ValidateRequest,
 )
-from prtbake_storage.contract.materials import Material, material_pointer, require_groups
+from prtbake_storage.contract.materials import (
+    Material,
+    material_pointer,
+    require_groups,
+    require_lambert,
+)
 from prtbake_storage.contract.resources import Resource
 from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
@@ -119,21 +124,15 @@ class Resolver:
         else:
             spec = material.brdf.model_dump(mode="json")
             brdf = {"id": None, "canonical": None, "understood": {}, "spec": spec}
+        model = brdf["spec"].get("model")
         if material.albedo_texture is not None:
-            if brdf["spec"].get("model") != "lambert":
-                raise SettingsError(
-                    "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
-                    pointer=f"{pointer}/albedo_texture",
-                )
+            require_lambert(model, "albedo_texture", pointer)
             self.require_upload(material.albedo_texture, f"{pointer}/albedo_texture")
-        if material.subsurface is not None and brdf["spec"].get("model") != "lambert":
-            raise SettingsError(
-                "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the "
-                "medium",
-                pointer=f"{pointer}/subsurface",
-            )
+        if material.subsurface is not None:
+            require_lambert(model, "subsurface", pointer)
         if material.vertex_colours:
-            _check_colours(brdf["spec"], understood, f"{pointer}/vertex_colours")
+            require_lambert(model, "vertex_colours", pointer)
+            _require_colours(understood, f"{pointer}/vertex_colours")
         return brdf
 
     def _resource(self, kind: str, resource_id: str, pointer: str | None = None) -> Context:
@@ -182,13 +181,8 @@ class Resolver:
             raise NotFound(f"{digest} has not been uploaded", pointer=pointer) from error
 
 
-def _check_colours(spec: Context, understood: Context, pointer: str) -> None:
-    """Refuse vertex colours before the plan would: the job may wait for long until then."""
-    if spec.get("model") != "lambert":
-        raise SettingsError(
-            "vertex colours need a lambert BRDF: they multiply the whole reflectance",
-            pointer=pointer,
-        )
+def _require_colours(understood: Context, pointer: str) -> None:
+    """Refuse colours that a mesh lacks before the plan would, which may be long after."""
     if not understood.get("vertex_colours"):
         raise SettingsError(
             "the mesh has no usable vertex colours: its warnings say why, if its file holds any",

@@ -89,6 +89,27 @@ class Material(Wire):
     """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
 
 
+LAMBERT_ONLY = {
+    "albedo_texture": "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
+    "subsurface": "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the "
+    "medium",
+    "vertex_colours": "vertex colours need a lambert BRDF: they multiply the whole reflectance",
+}
+"""Fields of a material that go with a Lambert BRDF alone, and why."""
+
+
+def require_lambert(model: str | None, field: str, pointer: str) -> None:
+    """Refuse a field of a material whose BRDF is of another model.
+
+    Raises
+    ------
+    SettingsError
+        With ``pointer``, that of the material, and the field below it.
+    """
+    if model != "lambert":
+        raise SettingsError(LAMBERT_ONLY[field], pointer=f"{pointer}/{field}")
+
+
 GroupName = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^\x00]*$")]
 """A group of a mesh's faces, as ``understood.groups`` of the registered mesh names it."""
 

@@ -15,6 +15,7 @@ from prtbake_storage.contract.materials import (
     Tangents,
     material_pointer,
     require_groups,
+    require_lambert,
 )
 from prtbake_storage.contract.settings import ReceiverPlane
 from prtbake_storage.decode.asset import Role
@@ -118,18 +119,19 @@ def _object_part(
     """Make a part of the object; errors point to fields below ``pointer``."""
     brdf = material["brdf"]
     if material["vertex_colours"]:
-        _check_colours(brdf, mesh.colours is not None, f"{pointer}/vertex_colours")
-    if material["subsurface"] is not None and brdf["model"] != "lambert":
-        raise SettingsError(
-            "subsurface scattering needs a lambert BRDF: its albedo tints what leaves the medium",
-            pointer=f"{pointer}/subsurface",
-        )
+        require_lambert(brdf["model"], "vertex_colours", pointer)
+        if mesh.colours is None:
+            raise SettingsError(
+                "the mesh has no usable vertex colours", pointer=f"{pointer}/vertex_colours"
+            )
+    if material["subsurface"] is not None:
+        require_lambert(brdf["model"], "subsurface", pointer)
     return PartInput(
         name,
         "object",
         mesh,
         brdf,
-        albedo_texture=_texture(material, f"{pointer}/albedo_texture", mesh, store),
+        albedo_texture=_texture(material, pointer, mesh, store),
         subsurface=material["subsurface"],
         vertex_colours=mesh.colours if material["vertex_colours"] else None,
         tangents=tangents_of(
@@ -161,7 +163,7 @@ def _receiver(receiver: ReceiverPlane, mesh: Mesh, store: BlobStore) -> PartInpu
     )
     brdf = (receiver.brdf or LambertSpec(albedo=receiver.albedo)).model_dump(mode="json")
     material = {"brdf": brdf, "albedo_texture": receiver.albedo_texture}
-    texture = _texture(material, "/receiver/albedo_texture", plane, store)
+    texture = _texture(material, "/receiver", plane, store)
     # horizontal everywhere: the plane is all pole
     return PartInput(RECEIVER, "receiver", plane, brdf, texture, tangents=(1.0, 0.0, 0.0))
 
@@ -179,23 +181,10 @@ def tangents_of(given: str | list[float], *, has_uv: bool, pointer: str) -> Tang
 def _texture(material: Mapping[str, Any], pointer: str, mesh: Mesh, store: BlobStore) -> F32 | None:
     if material["albedo_texture"] is None:
         return None
-    if material["brdf"]["model"] != "lambert":
-        raise SettingsError(
-            "an albedo texture needs a lambert BRDF: it multiplies the whole reflectance",
-            pointer=pointer,
-        )
+    require_lambert(material["brdf"]["model"], "albedo_texture", pointer)
+    pointer = f"{pointer}/albedo_texture"
     if mesh.uv is None:
         raise SettingsError(
             "an albedo texture needs texture coordinates, which the mesh lacks", pointer=pointer
         )
     return load_texture(store, material["albedo_texture"], pointer=pointer)
-
-
-def _check_colours(brdf: Mapping[str, Any], has_colours: bool, pointer: str) -> None:
-    if brdf["model"] != "lambert":
-        raise SettingsError(
-            "vertex colours need a lambert BRDF: they multiply the whole reflectance",
-            pointer=pointer,
-        )
-    if not has_colours:
-        raise SettingsError("the mesh has no usable vertex colours", pointer=pointer)
