@@ -228,7 +228,7 @@ def test_context_of_materials(service: LiveService, http: httpx.Client, grouped:
     """Every material's BRDF is resolved, and what names a blob is kept for the job."""
     texture = service.backend.blobs.put_bytes(b"a third picture")
     service.backend.uploads.add(texture, 15)
-    spec = {"model": "ggx", "alpha": 0.3}
+    spec = {"model": "ggx", "alpha": 0.2831}
     made = http.post("/v1/brdfs", json={"spec": spec}).json()
     canonical = service.backend.blobs.put_bytes(b"shiny")
     understood = {"spec": made["request"]["spec"], "isotropic": True}
