@@ -48,9 +48,9 @@ How to read the tables:
   sparse probe may miss a dark corner, so they are left out only where a proof says that they are small.
   *Nothing to take*: no switch would change what is baked, such as a view dependence of a diffuse surface.
 
-An effect forced on is simulated in full, with all of `bounce_rays`; left to itself planning takes as many
-rays as keep their noise below half of the tolerance, which is most of what *error decided* shows where
-bounces are taken. Direct light is cheap here: few directions and few functions of the basis. Where both
+An effect forced on is simulated in full, with all of `bounce_rays` in every bounce; left to itself planning
+takes as many rays as keep their noise below half of the tolerance, which is most of what *error decided*
+shows where bounces are taken. Direct light is cheap here: few directions and few functions of the basis. Where both
 are many, as at the full quality, it is a larger part of a bake, and what planning saves a smaller one."""
 
 

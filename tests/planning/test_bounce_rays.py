@@ -9,7 +9,7 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.bounce_rays import FEWEST, NOISE_SHARE, bounce_rays
+from prtbake_workers.planning.bounce_rays import FEWEST, NOISE_SHARE, bounce_rays, later_rays
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.interreflection import probe_bounce
 from prtbake_workers.transport.albedo import Albedo
@@ -51,7 +51,7 @@ def first_bounce(baked, n_rays, seed):
     n_rays = np.broadcast_to(n_rays, len(direct)).tolist()
     return bounce_block(
         surface, direct, factorisations=[DIFFUSE] * len(direct), albedo=WHITE, n_channels=1,
-        n_rays=n_rays, seed=seed, max_bounces=1, tolerance=0.0,
+        n_rays=n_rays, seed=seed, max_bounces=1, tolerance=0.0, smooth=False,
     )  # fmt: skip
 
 
@@ -87,8 +87,9 @@ def probed(baked):
     )
 
 
-def decided(*variances, forced=False):
-    return Decision("interreflection", True, forced, "", {"variances": variances})
+def decided(*variances, forced=False, share=0.1):
+    evidence = {"variances": variances, "first_bounce_share": share}
+    return Decision("interreflection", True, forced, "", evidence)
 
 
 def test_the_probe_tells_the_noise_of_one_ray(baked):
@@ -115,3 +116,15 @@ def test_no_more_rays_than_asked_for_and_all_where_bounces_are_forced():
     counts = bounce_rays(decided(*np.geomspace(1e-5, 1.0, 40)), bake)
     assert counts == tuple(sorted(counts))
     assert set(counts) > {FEWEST, 64}
+
+
+def test_later_bounces_take_fewer_rays_the_less_they_bring():
+    bake = BakeSettings(bounce_rays=64, bounce_tolerance=1e-3)
+    shares = (1e-4, 1e-2, 0.05, 0.1, 0.25, 0.9)
+    counts = [later_rays(decided(1.0, share=share), bake, (64, 20))[0] for share in shares]
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (FEWEST, 64)
+    # by the power that noise falls with, its second bounce adds a quarter of the first one's
+    assert counts[3] == 33
+    assert pytest.approx(0.25, rel=0.05) == 0.1 * (64 / 33) ** (4 / 3)
+    assert later_rays(decided(1.0, share=0.1, forced=True), bake, (64, 20)) == (64, 20)

@@ -60,8 +60,15 @@ def test_predictions_grow_with_what_they_predict():
 def test_blocks_of_bounced_coefficients_cover_all_of_them_within_their_memory(monkeypatch):
     settings = resolve_stages("medium", AssetSettings())
     assert plan_of(settings, 4)[1].bounces is None
-    for terms, coloured, least in ((1, False, 2), (4, True, 5)):
-        monkeypatch.setattr(plan_module, "BLOCK_BYTES", 4 << 20)
+    # one where that is quick, as every block casts the rays anew
+    assert len(plan_of(settings, 1, share=0.1)[1].bounces.blocks) == 1
+    monkeypatch.setattr(plan_module, "BLOCK_BYTES", 4 << 20)
+    for terms, coloured, least, quick in (
+        (1, False, 1, 8.0),
+        (1, False, 2, 0.0),
+        (4, True, 5, 8.0),
+    ):
+        monkeypatch.setattr(plan_module, "TILE_SECONDS", quick)
         scene, plan = plan_of(settings, terms, share=0.1, coloured=coloured)
         blocks = plan.bounces.blocks
         assert blocks[0][0] == 0

@@ -65,9 +65,9 @@ class BakeSettings(Wire):
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
     Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
     squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
-    forced on, planning takes fewer rays where it predicts their noise to stay below half of the
-    tolerance.  Parts with a medium whose scattering moves no more than ``subsurface_tolerance`` of
-    their light reflect it where it falls.
+    forced on, fewer rays are taken where their noise is predicted or measured to stay below half of
+    the tolerance.  Parts with a medium whose scattering moves no more than
+    ``subsurface_tolerance`` of their light reflect it where it falls.
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32

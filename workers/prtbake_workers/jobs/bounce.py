@@ -37,6 +37,8 @@ def stages() -> list[Stage]:
             "scene": planned["scene"],
             "tiles": grouped_tiles(results, "bake"),
             "n_rays": bounces["n_rays"],
+            "later_rays": bounces["later_rays"],
+            "noise_tolerance": bounces["noise_tolerance"],
             "max_bounces": bounces["max_bounces"],
             "tolerance": bounces["tolerance"],
         }
@@ -119,6 +121,8 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         albedo=albedo,
         n_channels=planned.header["bounces"]["n_channels"],
         n_rays=args["n_rays"],
+        later_rays=args["later_rays"],
+        noise_tolerance=args["noise_tolerance"],
         seed=seed,
         max_bounces=args["max_bounces"],
         tolerance=args["tolerance"],
@@ -139,6 +143,8 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "left_out": None if block.remainder_energy is None else block.remainder_energy.tolist(),
         "is_bound": block.is_bound,
         "noise": block.noise_energy.tolist(),
+        "rounds": list(block.rounds),
+        "n_rays": list(block.n_rays),
         "rounding": rounding,
         "scattering": [
             None
@@ -296,6 +302,14 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
             f"bounces stopped at max_bounces = {plan['bounces']['max_bounces']}: the last of them "
             f"added {last:.1e} of the energy, the tolerance is {tolerance:.1e}"
         )
+    for index, part in enumerate(plan["parts"]):
+        rounds = max((block["rounds"][index] for block in blocks), default=0)
+        if rounds:
+            rays = max(block["n_rays"][index] for block in blocks)
+            found.append(
+                f"{part['name']}: bounced light is that of {rays} rays a vertex, averaged over "
+                f"neighbours {rounds} time{'s'[: rounds - 1]}: measured to be nearer the truth"
+            )
     if any(block["left_out"] is None for block in blocks):
         found.append(
             "nothing bounds what the bounces leave out: some light never gets out (albedo 1 in a "

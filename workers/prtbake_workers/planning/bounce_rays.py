@@ -1,5 +1,6 @@
 """How many rays a vertex look for bounced light, from what one ray alone would miss."""
 
+from collections.abc import Sequence
 from math import ceil
 
 from prtbake_storage.contract.settings import BakeSettings
@@ -11,6 +12,9 @@ FEWEST = 8
 NOISE_SHARE = 0.5
 """Of the tolerance, that the rays' noise may take."""
 
+LATER_SHARE = 0.25
+"""Of the noise of the first bounce, that the second may add."""
+
 FALL = 4.0 / 3.0
 """Squared errors fall with the rays to this power.
 
@@ -19,11 +23,17 @@ silhouettes, and 1 where it is all noise; 1.35 to 1.47 was measured from 1 to 64
 """
 
 
-def bounce_rays(decided: Decision, bake: BakeSettings) -> tuple[int, ...]:
-    """Choose the rays of a vertex of each part: ``bake.bounce_rays``, or fewer if noise allows it.
+def noise_allowed(decided: Decision, bake: BakeSettings) -> float:
+    """Give the squared-error ratio that the rays' noise may reach; 0 where all rays are taken.
 
     Forcing interreflection takes them all: light below the tolerance would drown in noise that is
     measured by it.
+    """
+    return 0.0 if decided.forced else NOISE_SHARE * bake.bounce_tolerance
+
+
+def bounce_rays(decided: Decision, bake: BakeSettings) -> tuple[int, ...]:
+    """Choose the rays of a vertex of each part: ``bake.bounce_rays``, or fewer if noise allows it.
 
     Parameters
     ----------
@@ -33,9 +43,22 @@ def bounce_rays(decided: Decision, bake: BakeSettings) -> tuple[int, ...]:
     bake
         Settings, with the tolerance.
     """
-    allowed = NOISE_SHARE * bake.bounce_tolerance
+    allowed = noise_allowed(decided, bake)
     variances = decided.evidence["variances"]
-    if decided.forced or allowed == 0.0:
+    if allowed == 0.0:
         return (bake.bounce_rays,) * len(variances)
     needed = [ceil((variance / allowed) ** (1.0 / FALL)) for variance in variances]
     return tuple(min(bake.bounce_rays, max(FEWEST, one)) for one in needed)
+
+
+def later_rays(decided: Decision, bake: BakeSettings, n_rays: Sequence[int]) -> tuple[int, ...]:
+    """Choose the rays of a vertex of each part for the bounces after the first.
+
+    What the second bounce sends is the first one's light once more: its energy, and with it the
+    noise of a ray, is less by the share that the first one adds to direct light.
+    """
+    if noise_allowed(decided, bake) == 0.0:
+        return tuple(n_rays)
+    share = decided.evidence["first_bounce_share"]
+    fewer = (share / LATER_SHARE) ** (1.0 / FALL)
+    return tuple(min(own, max(FEWEST, ceil(own * fewer))) for own in n_rays)

@@ -150,6 +150,7 @@ def bounce_seconds(
     *,
     bounces: int,
     n_rays: Sequence[int],
+    later_rays: Sequence[int],
     hit_share: float,
     n_channels: int,
     n_coeffs: int,
@@ -158,13 +159,21 @@ def bounce_seconds(
     """Predict the seconds of all bounces: rays once a block, sparse and dense products a bounce."""
     verts = np.array([stop - start for start, stop in scene.part_ranges])
     terms = np.array(part_terms)
-    rays = float(verts @ np.array(n_rays))
     # every hit reads three corners of a part whose terms are taken to be the mean ones
     mean_terms = float(verts @ terms) / float(verts.sum())
-    sparse = 2.0 * hit_share * rays * 3.0 * mean_terms * n_coeffs / SPARSE_FLOPS_PER_SECOND
-    dense = 2.0 * float((verts * terms) @ np.array(n_rays)) * n_coeffs / FLOPS_PER_SECOND
-    traced = n_blocks * (CHILD_START_S + rays / BOUNCE_RAYS_PER_SECOND)
-    return traced + n_channels * bounces * (sparse + dense)
+
+    def once(rays_of: Sequence[int]) -> tuple[float, float]:
+        """Of casting the rays, and of one bounce by them."""
+        rays = float(verts @ np.array(rays_of))
+        sparse = 2.0 * hit_share * rays * 3.0 * mean_terms * n_coeffs / SPARSE_FLOPS_PER_SECOND
+        dense = 2.0 * float((verts * terms) @ np.array(rays_of)) * n_coeffs / FLOPS_PER_SECOND
+        return rays / BOUNCE_RAYS_PER_SECOND, sparse + dense
+
+    (cast, first), (recast, later) = once(n_rays), once(later_rays)
+    if tuple(later_rays) == tuple(n_rays):
+        recast = 0.0
+    traced = n_blocks * (CHILD_START_S + cast + recast)
+    return traced + n_channels * (first + max(bounces - 1, 0) * later)
 
 
 def scattering_seconds(

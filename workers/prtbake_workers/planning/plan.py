@@ -13,10 +13,11 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.bounce_rays import bounce_rays
+from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, noise_allowed
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     ORIENTED_SECONDS,
+    TILE_SECONDS,
     PartCost,
     bounce_seconds,
     compress_memory_bytes,
@@ -66,14 +67,17 @@ class BouncePlan:
     """How light that surfaces send to each other, and that scatters inside them, is simulated.
 
     ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
-    has bounces of its own, as ``coloured`` says, or a medium has colours; ``n_rays`` are those of a
-    vertex, part by part.  Parts in ``scattering`` scatter light inside; ``max_bounces`` is 0 where
-    that is all there is.
+    has bounces of its own, as ``coloured`` says, or a medium has colours.  ``n_rays`` are those of
+    a vertex, part by part, in the first bounce and ``later_rays`` in those after it, at most: fewer
+    where their noise is measured to be below ``noise_tolerance``.  Parts in ``scattering`` scatter
+    light inside; ``max_bounces`` is 0 where that is all there is.
     """
 
     n_channels: int
     coloured: bool
     n_rays: tuple[int, ...]
+    later_rays: tuple[int, ...]
+    noise_tolerance: float
     max_bounces: int
     tolerance: float
     scattering: tuple[int, ...]
@@ -158,7 +162,7 @@ def plan_bounces(
     bake: BakeSettings,
     media: Mapping[int, Dipole],
 ) -> BouncePlan | None:
-    """Cut the coefficients into blocks of about `BLOCK_BYTES`, at least two where there are two.
+    """Cut the coefficients into blocks of about `BLOCK_BYTES`; two at least, unless that is quick.
 
     ``media`` are those of the parts that scatter.
     """
@@ -167,18 +171,35 @@ def plan_bounces(
     if not (bounced or media):
         return None
     coloured = by_name["colour_bleeding"].taken
+    n_rays = bounce_rays(by_name["interreflection"], bake)
     n_channels = 3 if coloured else max((own.n_channels for own in media.values()), default=1)
+    later = later_rays(by_name["interreflection"], bake, n_rays)
     rows = sum(
         (stop - start) * n_terms
         for (start, stop), n_terms in zip(scene.part_ranges, part_terms, strict=True)
     )
     fitting = max(1, BLOCK_BYTES // (4 * n_channels * rows))
-    n_blocks = max(min(2, bake.n_centres), -(-bake.n_centres // fitting))
+    seconds = bounce_seconds(
+        scene,
+        part_terms,
+        bounces=bake.max_bounces,
+        n_rays=n_rays,
+        later_rays=later,
+        hit_share=by_name["interreflection"].evidence["hit_share"],
+        n_channels=n_channels,
+        n_coeffs=bake.n_centres,
+        n_blocks=1,
+    )
+    # every block casts the rays anew: two are worth it where there is work for two
+    least = 2 if media or seconds > TILE_SECONDS else 1
+    n_blocks = max(min(least, bake.n_centres), -(-bake.n_centres // fitting))
     edges = [round(i * bake.n_centres / n_blocks) for i in range(n_blocks + 1)]
     return BouncePlan(
         n_channels=n_channels,
         coloured=coloured,
-        n_rays=bounce_rays(by_name["interreflection"], bake),
+        n_rays=n_rays,
+        later_rays=later,
+        noise_tolerance=noise_allowed(by_name["interreflection"], bake),
         max_bounces=bake.max_bounces if bounced else 0,
         tolerance=bake.bounce_tolerance,
         scattering=tuple(sorted(media)),
@@ -299,6 +320,7 @@ def make_plan(
                 part_terms,
                 bounces=expected,
                 n_rays=bounces.n_rays,
+                later_rays=bounces.later_rays,
                 hit_share=decided.evidence["hit_share"],
                 n_channels=n_channels,
                 n_coeffs=settings.bake.n_centres,

@@ -7,21 +7,20 @@ to what leaves it (`part_scattering`): ``D_k = S F D_(k-1)``, ``D_0 = S T0``.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
+from prtbake_workers.transport.bounce_casting import BounceCasting
+from prtbake_workers.transport.bounce_error import BounceError, bounce_error, row_norms
 from prtbake_workers.transport.part_scattering import PartScattering
 from prtbake_workers.transport.separable_bounce import BounceGather
+from prtbake_workers.transport.smoothing import Smoothing
 from prtbake_workers.transport.surface import OpaqueSurface
-
-NOISE_VERTICES = 128
-"""Of each part, whose first bounce is gathered twice more to tell what the number of rays costs."""
 
 MAX_POWERS = 64
 """Further bounces of the scalar majorant that are summed for the bound."""
@@ -52,8 +51,13 @@ class BouncedBlock:
         traced, else an estimate from the last two bounces.  None where bounces do not fade or
         none was asked for.
     noise_energy
-        Expected squared error of the first bounce, from its rays being few; of a part that
-        scatters at most so much, as scattering evens it out.
+        Expected squared error of the first bounce, from its rays being few and from means over
+        neighbours where those are taken, and of the others where they have fewer rays; of a part
+        that scatters at most so much, as scattering evens it out.
+    rounds
+        Of means over neighbours, a number a part, see `Smoothing`.
+    n_rays
+        Of each vertex in the first bounce, a number a part.
     counters
         Rays, hits and hits on backs.
     """
@@ -65,6 +69,8 @@ class BouncedBlock:
     remainder_energy: Float64[F64, " parts"] | None
     is_bound: bool
     noise_energy: Float64[F64, " parts"]
+    rounds: tuple[int, ...]
+    n_rays: tuple[int, ...]
     counters: dict[str, int]
 
 
@@ -76,10 +82,13 @@ def bounce_block(
     albedo: Albedo,
     n_channels: int,
     n_rays: Sequence[int],
+    later_rays: Sequence[int] | None = None,
+    noise_tolerance: float = 0.0,
     seed: int,
     max_bounces: int,
     tolerance: float,
     scattering: Sequence[PartScattering | None] = (),
+    smooth: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> BouncedBlock:
     """Sum the bounces of some coefficients.
@@ -92,8 +101,12 @@ def bounce_block(
         T0 of every part, (verts, terms, coeffs), whitened, the same for all channels.
     factorisations, albedo, n_channels, seed
         As `BounceGather` takes them.
-    n_rays
-        Of each vertex, a number a part.
+    n_rays, later_rays
+        Of each vertex, a number a part: in the first bounce, and in those after it, which bring
+        less; None for the same.
+    noise_tolerance
+        Squared-error ratio to direct light below which fewer rays do where means are taken, see
+        `pilot_rays`; 0 takes all.
     max_bounces
         At most so many.  None, which leaves the scattering of direct light, traces no ray.
     tolerance
@@ -101,6 +114,8 @@ def bounce_block(
         not above it on any part.  Where every block of coefficients keeps it, so does their whole.
     scattering
         What each part does to the light that arrives at it, None for nothing; empty for no part.
+    smooth
+        Takes means over neighbours where they are measured to lower the error.
     progress
         Called with bounces done and at most to do.
 
@@ -129,28 +144,38 @@ def bounce_block(
     if not tolerance >= 0.0:
         raise SettingsError(f"tolerance must not be negative, got {tolerance}")
     scene = surface.scene
-    gather_to = partial(
-        BounceGather,
-        surface,
-        factorisations=factorisations,
-        albedo=albedo,
-        n_channels=n_channels,
-    )
-    gathers = [
-        gather_to(part, np.arange(start, stop), n_rays=rays, seed=seed)
-        for part, ((start, stop), rays) in enumerate(zip(scene.part_ranges, n_rays, strict=True))
-        if max_bounces
-    ]
+    casting = BounceCasting(surface, factorisations, albedo, n_channels, seed)
     media = list(scattering) or [None] * len(direct)
     sent = _leaving(media, [np.repeat(one[:, None], n_channels, axis=1) for one in direct])
     totals = [one.copy() for one in sent]
     direct_energy = total = _energy(scene, sent)
-    noise = np.zeros(len(direct))
-    if max_bounces:
-        noise = _noise(scene, sent, gather_to, media, n_rays, seed)
+    error = BounceError(np.zeros(len(direct)), (0,) * len(direct))
+    smoothings = [
+        Smoothing.of_part(scene, part, own) if smooth and max_bounces and medium is None else None
+        for part, (own, medium) in enumerate(zip(factorisations, media, strict=True))
+    ]
+    if noise_tolerance > 0.0 and max_bounces:
+        n_rays = casting.pilot(sent, n_rays, smoothings, noise_tolerance * direct_energy)
+        later_rays = None if later_rays is None else np.minimum(later_rays, n_rays).tolist()
+    gathers = casting.parts(n_rays if max_bounces else ())
     energies: list[F64] = []
     while len(energies) < max_bounces and total.any():
-        sent = _leaving(media, [gather.apply(sent) for gather in gathers])
+        if len(energies) == 1 and later_rays is not None and list(later_rays) != list(n_rays):
+            gathers = casting.parts(later_rays)
+            again = bounce_error(scene, casting.at_some(sent, media, later_rays), seed=seed)
+            error = error._replace(
+                energy=error.energy + again.energy * _onwards(direct_energy, energies[0])
+            )
+        arriving = [gather.apply(sent) for gather in gathers]
+        if not energies:
+            error = bounce_error(
+                scene,
+                casting.at_some(sent, media, n_rays),
+                seed=seed,
+                arriving=arriving,
+                smoothings=smoothings,
+            )
+        sent = _leaving(media, arriving)
         for whole, one in zip(totals, sent, strict=True):
             whole += one
         energies.append(_energy(scene, sent))
@@ -167,22 +192,29 @@ def bounce_block(
             if is_bound
             else _geometric([direct_energy, *energies])
         )
-    for whole, one, medium in zip(totals, direct, media, strict=True):
-        if medium is None:
+    added = []
+    for part, (whole, one) in enumerate(zip(totals, direct, strict=True)):
+        if media[part] is None:
             whole -= one[:, None]
+        smoothing = smoothings[part]
+        added.append(whole if smoothing is None else smoothing.apply(whole, error.rounds[part]))
     return BouncedBlock(
-        added=tuple(totals),
+        added=tuple(added),
         direct_energy=direct_energy,
         total_energy=total,
         bounce_energies=np.reshape(energies, (-1, len(direct))),
         remainder_energy=remainder,
         is_bound=is_bound,
-        noise_energy=noise,
-        counters={
-            name: sum(gather.counters()[name] for gather in gathers)
-            for name in (gathers[0].counters() if gathers else ())
-        },
+        noise_energy=error.energy,
+        rounds=error.rounds,
+        n_rays=tuple(n_rays),
+        counters=dict(casting.counters),
     )
+
+
+def _onwards(before: Float64[F64, " parts"], now: Float64[F64, " parts"]) -> float:
+    """Sum a geometric series of energies, from two that follow each other, over the first."""
+    return 1.0 / (1.0 - min(float(now.sum() / before.sum()), 0.99))
 
 
 def _leaving(media: Sequence[PartScattering | None], arriving: Sequence[F32]) -> list[F32]:
@@ -198,16 +230,10 @@ def _energy(
 ) -> Float64[F64, " parts"]:
     return np.array(
         [
-            float(scene.areas[start:stop] @ (_norms(one) ** 2).sum(axis=1))
+            float(scene.areas[start:stop] @ (row_norms(one) ** 2).sum(axis=1))
             for (start, stop), one in zip(scene.part_ranges, transfers, strict=True)
         ]
     )
-
-
-def _norms(one: Float32[F32, "verts channels terms coeffs"]) -> Float64[F64, "verts channels"]:
-    """Norms of every vertex and channel: rows in float32, their sums in float64."""
-    rows = one.reshape(len(one), one.shape[1], -1)
-    return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
 
 
 def _majorant(
@@ -217,7 +243,7 @@ def _majorant(
     last: Sequence[F32],
 ) -> F64 | None:
     """Bound the energy of everything after the last bounce; None where the series does not fade."""
-    term = [_norms(one).astype(np.float32)[:, :, None, None] for one in last]
+    term = [row_norms(one).astype(np.float32)[:, :, None, None] for one in last]
     bound = [np.zeros_like(one) for one in term]
     before = largest = max(float(one.max(initial=0.0)) for one in term)
     if largest == 0.0:
@@ -243,32 +269,3 @@ def _geometric(energies: Sequence[Float64[F64, " parts"]]) -> F64 | None:
         return np.zeros_like(last)
     ratio = float(np.sqrt(last.sum() / max(energies[-2].sum(), last.sum())))
     return np.asarray(last * (ratio / (1.0 - ratio)) ** 2) if ratio < 1.0 else None
-
-
-def _noise(
-    scene: Scene,
-    sent: Sequence[F32],
-    gather_to: Callable[..., BounceGather],
-    media: Sequence[PartScattering | None],
-    n_rays: Sequence[int],
-    seed: int,
-) -> Float64[F64, " parts"]:
-    """Estimate the squared error of one bounce: half the squared difference of two draws."""
-    total = np.zeros(len(scene.part_ranges))
-    rng = np.random.default_rng([seed, 1])
-    for part, (start, stop) in enumerate(scene.part_ranges):
-        areas = np.maximum(scene.areas[start:stop], 0.0)
-        if not areas.sum() > 0.0:
-            continue
-        chosen: Int64[I64, " verts"] = np.sort(
-            start + rng.choice(stop - start, NOISE_VERTICES, p=areas / areas.sum())
-        )
-        first, second = (
-            gather_to(part, chosen, n_rays=n_rays[part], seed=own).apply(sent)
-            for own in (seed, seed + 1)
-        )
-        difference = _norms(first - second) ** 2
-        if (medium := media[part]) is not None:
-            difference *= medium.albedo(difference.shape[1]) ** 2
-        total[part] = 0.5 * float(areas.sum()) * float(difference.sum(axis=1).mean())
-    return total
