@@ -11,7 +11,7 @@ from prtbake_workers.transport.surface import OpaqueSurface
 
 def opaque(scene):
     """The scene ready for rays, with closed rooms closed."""
-    return OpaqueSurface(scene, Accelerator(scene.positions, scene.faces, robust=True))
+    return OpaqueSurface(scene, Accelerator(scene.positions, scene.traced_faces, robust=True))
 
 
 def patch(corner, edge_u, edge_v, n_u, n_v):

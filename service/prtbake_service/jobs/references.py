@@ -16,6 +16,7 @@ from prtbake_storage.contract.jobs import (
 from prtbake_storage.contract.materials import (
     Material,
     material_pointer,
+    refuse_two_sided_medium,
     require_groups,
     require_lambert,
 )
@@ -130,6 +131,7 @@ class Resolver:
             self.require_upload(material.albedo_texture, f"{pointer}/albedo_texture")
         if material.subsurface is not None:
             require_lambert(model, "subsurface", pointer)
+            refuse_two_sided_medium(material.two_sided, pointer)
         if material.vertex_colours:
             require_lambert(model, "vertex_colours", pointer)
             _require_colours(understood, f"{pointer}/vertex_colours")

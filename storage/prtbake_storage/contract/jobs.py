@@ -63,6 +63,8 @@ class _SceneRequest(_Request):
     """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
     tangents: Tangents = "horizontal"
     """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
+    two_sided: bool = False
+    """Reflects on its back as on its front; the back of a surface with one side is black."""
     materials: Materials = Field(default_factory=dict)
     """Of groups of the mesh's faces; the others have what stands above."""
     receiver: ReceiverPlane | None = None

@@ -87,6 +87,8 @@ class Material(Wire):
     """Multiply the reflectance of a Lambert BRDF by the colours that the mesh's file gives."""
     tangents: Tangents = "horizontal"
     """x of the frames that the BRDF is read in; only anisotropic ones depend on it."""
+    two_sided: bool = False
+    """Reflects on its back as on its front; the back of a surface with one side is black."""
 
 
 LAMBERT_ONLY = {
@@ -108,6 +110,21 @@ def require_lambert(model: str | None, field: str, pointer: str) -> None:
     """
     if model != "lambert":
         raise SettingsError(LAMBERT_ONLY[field], pointer=f"{pointer}/{field}")
+
+
+def refuse_two_sided_medium(two_sided: bool, pointer: str) -> None:
+    """Refuse two sides of a material that scatters light inside.
+
+    Raises
+    ------
+    SettingsError
+        With ``pointer``, that of the material, and the field.
+    """
+    if two_sided:
+        raise SettingsError(
+            "subsurface scattering needs an inside, which a two-sided surface does not have",
+            pointer=f"{pointer}/two_sided",
+        )
 
 
 GroupName = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^\x00]*$")]

@@ -18,14 +18,18 @@ Cluster arrays are zero padded to the largest rank of the part, so they are plai
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prtbake_storage.decode.sides import opposite_faces
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
 
 Method = Literal["cta", "cpca"]
 
@@ -61,6 +65,9 @@ class Surface:
         1, or 3 where transfer differs by the colour of the light.
     role
         The object may have several parts: they shadow each other as one shape.
+    two_sided
+        Whether every vertex and triangle is there twice, once for each side, as
+        `prtbake_storage.decode.sides` describes.  Of a part with one side the back is black.
     """
 
     name: str
@@ -72,6 +79,7 @@ class Surface:
     factorisation: Mapping[str, Any] | None = None
     n_channels: int = 1
     role: Role = "object"
+    two_sided: bool = False
 
     @property
     def n_vertices(self) -> int:
@@ -191,6 +199,14 @@ class Asset:
             owner[slice(*part.vertex_range)] = index
         return owner
 
+    @cached_property
+    def opposite(self) -> I64 | None:
+        """(tris,) copy of each triangle on its other side, -1 for none; None where all are."""
+        sides = [part.two_sided for part in self.parts]
+        if not any(sides):
+            return None
+        return opposite_faces(self.faces, [part.vertex_range for part in self.parts], sides)
+
     @property
     def nbytes(self) -> dict[str, int]:
         """Bytes in memory by group: ``mesh`` and the sums of the parts' groups."""
@@ -252,6 +268,7 @@ def check_asset(asset: Asset) -> None:
     torn = np.flatnonzero((owner != owner[:, :1]).any(axis=1))
     if torn.size:
         raise ValueError(f"mesh/faces: triangle {torn[0]} joins two parts")
+    _ = asset.opposite
 
 
 def _check_part(where: str, part: Part, n_coeffs: int) -> None:

@@ -138,7 +138,7 @@ def shade(
     vertex_radiances
         One array a part, from `vertex_radiance`.
     triangles
-        (pixels,) triangle hit, -1 for none.
+        (pixels,) triangle hit, -1 for none; of a two-sided part either copy.
     barycentrics
         (pixels, 3) weights of the triangle's corners.
     wo_world
@@ -156,6 +156,7 @@ def shade(
     """
     colours = np.zeros((len(triangles), 3), np.float32)
     part_of_vertex = asset.part_of_vertex
+    triangles, barycentrics = facing(asset, triangles, barycentrics, wo_world)
     hit = np.flatnonzero(triangles >= 0)
     hit = hit[_seen_from_front(asset, triangles[hit], wo_world[hit])]
     owner = part_of_vertex[asset.faces[triangles[hit], 0]]
@@ -173,6 +174,23 @@ def shade(
                 mixed += weights[:, corner, None] * colour
             colours[pixels] = mixed * _albedo(asset, part, corners, weights)
     return colours
+
+
+def facing(
+    asset: Asset,
+    triangles: I32,
+    barycentrics: NDArray[np.floating],
+    wo_world: NDArray[np.floating],
+) -> tuple[I32, NDArray[np.floating]]:
+    """Give of each triangle of a two-sided part the copy that is seen from its front."""
+    if asset.opposite is None:
+        return triangles, barycentrics
+    behind = np.flatnonzero((triangles >= 0) & (asset.opposite[triangles] >= 0))
+    behind = behind[~_seen_from_front(asset, triangles[behind], wo_world[behind])]
+    triangles, barycentrics = triangles.copy(), barycentrics.copy()
+    triangles[behind] = asset.opposite[triangles[behind]]
+    barycentrics[behind] = barycentrics[behind][:, ::-1]
+    return triangles, barycentrics
 
 
 def corner_colour(part: Part, radiance: F32, vertices: NDArray[np.int_], wo_world: F32) -> F32:

@@ -9,7 +9,8 @@
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation
-    /parts/<i>/       attributes name, role, vertex_start, vertex_stop, n_channels, method
+    /parts/<i>/       attributes name, role, vertex_start, vertex_stop, n_channels, method;
+                      two_sided = 1 where it is so (`prtbake_storage.decode.sides`)
         material      JSON text
         albedo albedo_texture vertex_colours factorisation/
         clusters/     labels ranks light_bases dual_bases means components

@@ -16,7 +16,7 @@ F32 = NDArray[np.float32]
 
 
 def put_surface(group: h5py.Group, surface: Surface) -> None:
-    """Write a part's name, role, range, material, albedo, factorisation and n_channels."""
+    """Write a part's name, role, sides, range, material, albedo, factorisation, n_channels."""
     if surface.n_channels not in CHANNEL_COUNTS:
         raise ValueError(f"{surface.name}: n_channels is {surface.n_channels}, not 1 or 3")
     h5.set_attribute(group, "name", surface.name)
@@ -24,6 +24,8 @@ def put_surface(group: h5py.Group, surface: Surface) -> None:
     h5.set_attribute(group, "vertex_start", surface.vertex_range[0])
     h5.set_attribute(group, "vertex_stop", surface.vertex_range[1])
     h5.set_attribute(group, "n_channels", surface.n_channels)
+    if surface.two_sided:
+        h5.set_attribute(group, "two_sided", 1)
     h5.put_json(group, "material", dict(surface.material))
     h5.put(group, "albedo", surface.albedo.astype(np.float32), "channels")
     if surface.albedo_texture is not None:
@@ -62,6 +64,7 @@ def get_surface(group: h5py.Group) -> dict[str, Any]:
         "vertex_colours": get_colours(group, "vertex_colours", stop - start),
         "factorisation": tables,
         "n_channels": n_channels,
+        "two_sided": _two_sided(group),
     }
 
 
@@ -75,6 +78,14 @@ def _role(group: h5py.Group, name: str) -> Role:
     if role == "receiver":
         return "receiver"
     raise CorruptArtefact(f"{group.name}: role is {role!r}, not 'object' or 'receiver'")
+
+
+def _two_sided(group: h5py.Group) -> bool:
+    """Read the attribute, which parts with one side lack."""
+    given = h5.attribute(group, "two_sided") if h5.has_attribute(group, "two_sided") else 0
+    if given not in (0, 1):
+        raise CorruptArtefact(f"{group.name}: two_sided is {given!r}, not 0 or 1")
+    return bool(given)
 
 
 def put_tables(group: h5py.Group, tables: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from prtbake_storage.decode.asset import Role
+from prtbake_storage.decode.sides import opposite_faces
 from prtbake_workers.arrays import F64, I32, I64, Float64, Int32, Int64
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import Mesh
@@ -45,6 +46,9 @@ class Scene:
     bodies
         Body of each part.  Parts of one body are a surface that was cut: where they meet is neither
         an edge nor a crease.  None where every part is a body.
+    two_sided
+        Parts whose second half is their first turned over, see `both_sides`.  None where all have
+        one side.
     """
 
     positions: Float64[F64, "verts 3"]
@@ -56,6 +60,7 @@ class Scene:
     part_ranges: tuple[tuple[int, int], ...]
     part_of_face: Int32[I32, " tris"]
     bodies: tuple[int, ...] | None = None
+    two_sided: tuple[bool, ...] | None = None
 
     @classmethod
     def from_parts(
@@ -64,6 +69,7 @@ class Scene:
         frame_seed: int | None = None,
         frames: Sequence[Float64[F64, "_ 3 3"] | None] | None = None,
         bodies: tuple[int, ...] | None = None,
+        two_sided: tuple[bool, ...] | None = None,
     ) -> "Scene":
         """Join meshes.
 
@@ -74,8 +80,8 @@ class Scene:
         frames
             For each part the frames that its BRDF is read in, which nothing turns; None where any
             will do.
-        bodies
-            Of the parts, see the attribute.
+        bodies, two_sided
+            Of the parts, see the attributes.
         """
         if not parts:
             raise ValueError("a scene needs at least one part")
@@ -108,6 +114,7 @@ class Scene:
                 np.arange(len(parts), dtype=np.int32), [part.n_faces for part in parts]
             ),
             bodies=bodies,
+            two_sided=two_sided,
         )
 
     def part(self, index: int) -> "Scene":
@@ -123,6 +130,7 @@ class Scene:
             uv=None if self.uv is None else self.uv[start:stop],
             part_ranges=((0, stop - start),),
             part_of_face=np.zeros(int(own.sum()), np.int32),
+            two_sided=None if self.two_sided is None else (self.two_sided[index],),
         )
 
     @cached_property
@@ -157,11 +165,36 @@ class Scene:
         twin, first = same_vertices(self.positions, self.normals, self._body_of_vertex)
         return first[twin]
 
+    @cached_property
+    def opposite(self) -> Int64[I64, " tris"] | None:
+        """The other side's copy of each triangle, -1 for none; None where all have one side."""
+        if self.two_sided is None or not any(self.two_sided):
+            return None
+        return opposite_faces(self.faces, self.part_ranges, self.two_sided)
+
+    @cached_property
+    def traced(self) -> Int64[I64, " traced"] | None:
+        """The triangles that rays are traced against, one of two copies; None for all."""
+        if self.opposite is None:
+            return None
+        return np.flatnonzero((self.opposite < 0) | (self.opposite > np.arange(self.n_faces)))
+
+    @property
+    def traced_faces(self) -> Int32[I32, "traced 3"]:
+        """Corners of those that `traced` names: what an accelerator is made of."""
+        return self.faces if self.traced is None else self.faces[self.traced]
+
     @property
     def _body_of_vertex(self) -> Int64[I64, " verts"]:
         sizes = [stop - start for start, stop in self.part_ranges]
         bodies = range(len(sizes)) if self.bodies is None else self.bodies
-        return np.repeat(np.array(bodies, np.int64), sizes)
+        body = np.repeat(np.array(bodies, np.int64), sizes)
+        # the other side of a body is a surface by itself: the rim of a sheet stays an open edge
+        beyond = int(body.max()) + 1
+        for (start, stop), both in zip(self.part_ranges, self.two_sided or (), strict=False):
+            if both:
+                body[(start + stop) // 2 : stop] += beyond
+        return body
 
     @property
     def n_vertices(self) -> int:

@@ -156,6 +156,7 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             TransferPart(
                 name=part["name"],
                 role=part["role"],
+                two_sided=part["two_sided"],
                 vertex_range=(start, stop),
                 material=part["material"],
                 areas=scene.areas[start:stop],

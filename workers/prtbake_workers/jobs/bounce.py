@@ -115,7 +115,7 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         for part, dipole in enumerate(map(planned.scattering, range(len(direct))))
     ]
     block = bounce_block(
-        OpaqueSurface(scene, Accelerator(scene.positions, scene.faces, robust=True)),
+        OpaqueSurface(scene, Accelerator(scene.positions, scene.traced_faces, robust=True)),
         direct,
         factorisations=factorisations,
         albedo=albedo,

@@ -253,6 +253,7 @@ def make_part(
     joined = Part(
         name=part.name,
         role=part.role,
+        two_sided=part.two_sided,
         vertex_range=part.vertex_range,
         material=part.material,
         method=method,

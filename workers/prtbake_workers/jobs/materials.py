@@ -14,6 +14,7 @@ from prtbake_storage.contract.materials import (
     Material,
     Tangents,
     material_pointer,
+    refuse_two_sided_medium,
     require_groups,
     require_lambert,
 )
@@ -24,6 +25,7 @@ from prtbake_workers.arrays import F32
 from prtbake_workers.geometry.face_groups import LONGEST_NAME, distinct_names
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.receiver import receiver_plane
+from prtbake_workers.geometry.sides import both_sides
 from prtbake_workers.geometry.splitting import split_mesh
 from prtbake_workers.jobs.inputs import load_texture
 
@@ -52,6 +54,8 @@ class PartInput:
         Linear, (verts, 3), where they are asked for; None for none.
     tangents
         Where those of an anisotropic BRDF point.
+    two_sided
+        Whether the mesh is one turned over in its place, see `both_sides`.
     """
 
     name: str
@@ -62,6 +66,7 @@ class PartInput:
     subsurface: dict[str, Any] | None = None
     vertex_colours: F32 | None = None
     tangents: Tangents = "horizontal"
+    two_sided: bool = False
 
 
 def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[PartInput]:
@@ -74,7 +79,8 @@ def part_inputs(args: dict[str, Any], mesh: Mesh, store: BlobStore) -> list[Part
     ------
     SettingsError
         A material for a group that the mesh lacks; an albedo texture, vertex colours or a medium
-        that nothing can be done with; tangents along texture coordinates that are not there.
+        that nothing can be done with; tangents along texture coordinates that are not there; a
+        medium between two sides.
     """
     require_groups(args["materials"], mesh.group_names)
     # what the request says of the whole object has the same fields at its top level
@@ -126,6 +132,9 @@ def _object_part(
             )
     if material["subsurface"] is not None:
         require_lambert(brdf["model"], "subsurface", pointer)
+        refuse_two_sided_medium(material["two_sided"], pointer)
+    if material["two_sided"]:
+        mesh = both_sides(mesh)
     return PartInput(
         name,
         "object",
@@ -137,6 +146,7 @@ def _object_part(
         tangents=tangents_of(
             material["tangents"], has_uv=mesh.uv is not None, pointer=f"{pointer}/tangents"
         ),
+        two_sided=material["two_sided"],
     )
 
 

@@ -42,6 +42,7 @@ INPUTS = (
     "subsurface",
     "vertex_colours",
     "tangents",
+    "two_sided",
     "materials",
     "receiver",
 )
@@ -60,6 +61,7 @@ def arguments(
         "subsurface": request.get("subsurface"),
         "vertex_colours": request.get("vertex_colours", False),
         "tangents": request.get("tangents", "horizontal"),
+        "two_sided": request.get("two_sided", False),
         "materials": {
             name: material | {"brdf": specs[name]["spec"]}
             for name, material in request.get("materials", {}).items()
@@ -99,6 +101,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         frame_seed=settings.bake.frame_seed,
         frames=[None if own is None else own.frames for own in grain],
         bodies=bodies_of(roles),
+        two_sided=tuple(part.two_sided for part in parts),
     )
     requested = Effects.model_validate(args["effects"])
     n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
@@ -109,7 +112,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         settings.bake.term_energy_lost if n_terms is None else None,
     )
     part_terms = [factorisation.n_terms for factorisation in factorisations]
-    accelerator = Accelerator(scene.positions, scene.faces)
+    accelerator = Accelerator(scene.positions, scene.traced_faces)
     media = [None if part.subsurface is None else make_dipole(part.subsurface) for part in parts]
     scattering = decide_subsurface(
         OpaqueSurface(scene, accelerator),
@@ -154,6 +157,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         notes=[
             *_term_notes(names, factorisations),
             *grain_notes(grain, _unread_tangents(parts, grain)),
+            *_unseen_insides(parts, bool(report.get("watertight", False))),
             *repairs(report),
             *report.get("warnings", []),
         ],
@@ -184,6 +188,7 @@ def _header(
             {
                 "name": part.name,
                 "role": part.role,
+                "two_sided": part.two_sided,
                 "material": part.brdf,
                 "subsurface": part.subsurface,
                 "occluders": list(planned.occluders),
@@ -219,6 +224,16 @@ def _unread_tangents(parts: Sequence[PartInput], grain: Sequence[Grain | None]) 
         part.name
         for part, own in zip(parts, grain, strict=True)
         if own is None and part.role == "object" and part.tangents != "horizontal"
+    ]
+
+
+def _unseen_insides(parts: Sequence[PartInput], watertight: bool) -> list[str]:
+    """Name the parts of a closed mesh that are baked on both sides."""
+    return [
+        f"the mesh is closed: the inside of {part.name} is dark and not seen from outside, and "
+        f"two_sided bakes its {part.mesh.n_vertices // 2} vertices for nothing"
+        for part in parts
+        if part.two_sided and watertight
     ]
 
 

@@ -29,7 +29,8 @@ _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_fa
 class PlannedScene:
     """Geometry, and by part factorised materials, albedo textures and colours; the plan's header.
 
-    ``header`` holds ``bake`` (settings), ``parts`` (name, role, material, medium, occluders),
+    ``header`` holds ``bake`` (settings), ``parts`` (name, role, sides, material, medium,
+    occluders),
     ``bounces`` (their channels, the parts that scatter; None where neither is simulated),
     ``provenance``.
     """
@@ -118,6 +119,8 @@ def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:
     if not parts:
         return None
     chosen = np.isin(scene.part_of_face, parts)
+    if scene.traced is not None:
+        chosen = scene.traced[chosen[scene.traced]]
     return Accelerator(scene.positions, scene.faces[chosen])
 
 
@@ -147,6 +150,7 @@ def write_scene(path: Path, planned: PlannedScene) -> Path:
         "tables": tables,
         "part_ranges": [list(pair) for pair in scene.part_ranges],
         "bodies": None if scene.bodies is None else list(scene.bodies),
+        "two_sided": None if scene.two_sided is None else list(scene.two_sided),
     }
     return write_bundle(path, arrays, header)
 
@@ -159,6 +163,7 @@ def read_scene(path: Path) -> PlannedScene:
         uv=arrays.get("uv"),
         part_ranges=tuple((int(a), int(b)) for a, b in header["part_ranges"]),
         bodies=None if header["bodies"] is None else tuple(header["bodies"]),
+        two_sided=None if header["two_sided"] is None else tuple(header["two_sided"]),
     )
     factorisations = []
     for index, plain in enumerate(header["tables"]):

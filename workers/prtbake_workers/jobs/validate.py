@@ -129,7 +129,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
 
     return ValidationScene(
         scene=scene,
-        accelerator=Accelerator(scene.positions, scene.faces, robust=True),
+        accelerator=Accelerator(scene.positions, scene.traced_faces, robust=True),
         parts=tuple(
             _validation_part(
                 part,
@@ -238,6 +238,7 @@ def scene_of(header: TransferHeader) -> Scene:
         part_ranges=ranges,
         part_of_face=owner.astype(np.int32),
         bodies=bodies_of([part.role for part in header.parts]),
+        two_sided=tuple(part.two_sided for part in header.parts),
     )
 
 

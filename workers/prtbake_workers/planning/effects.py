@@ -200,6 +200,7 @@ def _self_shadowing(
 ) -> Decision:
     """Decide on the light that the object, all of its parts together, takes from itself."""
     defect = convexity_defect(shape)
+    closed, watertight = watertight, watertight and scene.opposite is None
     own = Accelerator(shape.positions, shape.faces)
     parts = _of_role(roles, "object")
     found = _probe_parts(scene, own, parts, names, factorisations, seed)
@@ -218,13 +219,13 @@ def _self_shadowing(
     elif scattered:
         reason = f"closed convex pieces far apart take at most {most:.1e} from each other"
     else:
+        why = "not closed and convex" if not closed or watertight else "two-sided and dark inside"
         reason = (
-            f"the mesh is not closed and convex; {100 * found.share:.1f} % of probe rays are "
-            f"blocked{found.most()}"
+            f"the mesh is {why}; {100 * found.share:.1f} % of probe rays are blocked{found.most()}"
         )
     evidence: dict[str, Any] = {
         "convexity_defect_diagonals": defect if np.isfinite(defect) else None,
-        "watertight": watertight,
+        "watertight": closed,
         "probe_rays": found.rays,
         "blocked_share": found.share,
         "scattered_bound": most if np.isfinite(most) else None,

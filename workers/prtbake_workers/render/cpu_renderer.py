@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from prtbake_storage.decode.asset import Asset
-from prtbake_storage.decode.relight import relight, shade
+from prtbake_storage.decode.relight import facing, relight, shade
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.render.camera import Pinhole
@@ -59,6 +59,7 @@ class CpuRenderer(Renderer):
         directions = view.directions(width, height).astype(np.float32)
         origins = np.tile(view.eye.astype(np.float32), (len(directions), 1))
         triangles, barycentrics = self._intersect(origins, directions)
+        triangles, barycentrics = facing(self._asset, triangles, barycentrics, -directions)
         return Visibility(triangles.reshape(height, width), barycentrics.reshape(height, width, 3))
 
     def render(self, view: Pinhole, width: int, height: int, samples: int = 1) -> Picture:

@@ -6,6 +6,8 @@ new view costs no CPU work at all.  Shading runs once a pixel, whatever the dept
 
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import pairwise
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -140,6 +142,7 @@ class GlRenderer(Renderer):
         self._triangles = context.vertex_array(
             self._visibility_program, [(self._corners, "3f4", "position")]
         )
+        self._runs = _runs_of_sides(asset)
         self._shade_program = _program(context, "shade", "shade")
         self._screen = context.vertex_array(self._shade_program, [])
         self._seen = Target(context, depth=True)
@@ -176,12 +179,17 @@ class GlRenderer(Renderer):
 
     def _draw_visibility(self, view: Pinhole, width: int, height: int) -> None:
         self._seen.begin(width, height)
-        self._context.enable_only(moderngl.DEPTH_TEST)
         moved = view.moved(self._centre, self._scale)
         matrix = moved.view_projection(*depth_range(moved, self._bounds))
         columns = tuple(float(x) for x in matrix.T.reshape(-1))
         self._visibility_program["view_projection"] = columns
-        self._triangles.render(moderngl.TRIANGLES)
+        for run in self._runs:
+            culling = moderngl.CULL_FACE if run.two_sided else moderngl.NOTHING
+            self._context.enable_only(moderngl.DEPTH_TEST | culling)
+            self._visibility_program["first_triangle"] = run.start
+            self._triangles.render(
+                moderngl.TRIANGLES, vertices=3 * (run.stop - run.start), first=3 * run.start
+            )
 
     def _shade(self, view: Pinhole, width: int, height: int) -> None:
         self._colour.begin(width, height)
@@ -219,6 +227,23 @@ class GlRenderer(Renderer):
             for name, value in uniforms.items():
                 self._shade_program[name] = value
             self._screen.render(moderngl.TRIANGLES, vertices=3)
+
+
+class _Run(NamedTuple):
+    """Triangles start..stop, of which two copies face opposite sides, or one both."""
+
+    start: int
+    stop: int
+    two_sided: bool
+
+
+def _runs_of_sides(asset: Asset) -> list[_Run]:
+    """Cut the triangles where parts with one side and with two follow each other."""
+    if asset.opposite is None:
+        return [_Run(0, len(asset.faces), False)]
+    both = asset.opposite >= 0
+    edges = [0, *(np.flatnonzero(both[1:] != both[:-1]) + 1).tolist(), len(both)]
+    return [_Run(start, stop, bool(both[start])) for start, stop in pairwise(edges)]
 
 
 def _program(context: moderngl.Context, vertex: str, fragment: str) -> moderngl.Program:

@@ -42,6 +42,24 @@ def interpolate_surface(
     return SurfacePoints(positions, normals, side)
 
 
+def turn_to_front(
+    scene: Scene,
+    triangles: Int64[I64, " points"],
+    barycentrics: Float64[F64, "points 3"],
+    front: Bool[B8, " points"],
+) -> None:
+    """Put the other side's copy in the place of triangles that show a back, where there is one.
+
+    All three arrays are changed.
+    """
+    if scene.opposite is None:
+        return
+    turned = np.flatnonzero(~front & (scene.opposite[triangles] >= 0))
+    triangles[turned] = scene.opposite[triangles[turned]]
+    barycentrics[turned] = barycentrics[turned][:, ::-1]
+    front[turned] = True
+
+
 def above_horizon(
     wo: Float64[F64, "points 3"], normals: Float64[F64, "points 3"]
 ) -> Float64[F64, "points 3"]:
@@ -72,10 +90,13 @@ class OpaqueSurface:
     of two layers, a tracer meets either, by rounding.  What is seen is the front: every hit on a
     back is looked up once more among the triangles that face the other way.
 
+    Of a two-sided surface the accelerator holds one copy.  The side that a ray comes from says
+    which one it met, so the copies can never be confused.
+
     Parameters
     ----------
     scene, accelerator
-        The same triangles in the same order.  A robust accelerator keeps rays in closed rooms.
+        The triangles of ``scene.traced_faces``.  A robust accelerator keeps rays in closed rooms.
 
     Attributes
     ----------
@@ -98,7 +119,8 @@ class OpaqueSurface:
         self, origins: Float32[F32, "rays 3"], directions: Float32[F32, "rays 3"]
     ) -> SurfaceHits:
         """Find what each ray meets first."""
-        found = self._hits(self.accelerator, None, origins, directions)
+        found = self._hits(self.accelerator, self.scene.traced, origins, directions)
+        turn_to_front(self.scene, found.triangles, found.barycentrics, found.front)
         back = np.flatnonzero(~found.front)
         if len(back) == 0:
             return found

@@ -11,7 +11,7 @@ from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.render.camera import camera_rays, framing_bounds
 from prtbake_workers.transport.path_points import interpolated_frames
 from prtbake_workers.transport.reference import SurfacePoints
-from prtbake_workers.transport.surface import above_horizon, interpolate_surface
+from prtbake_workers.transport.surface import above_horizon, interpolate_surface, turn_to_front
 from prtbake_workers.validation.scene import ValidationScene
 
 
@@ -64,11 +64,17 @@ def trace_camera(validation: ValidationScene, camera: Camera, width: int, height
     )
     pixels = np.flatnonzero(hits.triangles >= 0)
     triangles = hits.triangles[pixels].astype(np.int64)
+    if scene.traced is not None:
+        triangles = scene.traced[triangles]
     barycentrics = hits.barycentrics[pixels]
     wo = -np.asarray(directions, np.float64)[pixels]
-    corners = scene.faces[triangles]
     points = interpolate_surface(scene, triangles, barycentrics.astype(np.float64))
-    keep = np.flatnonzero((wo * points.side).sum(axis=1) > 0.0)
+    front = (wo * points.side).sum(axis=1) > 0.0
+    if scene.opposite is not None:
+        turn_to_front(scene, triangles, barycentrics, front)
+        points = interpolate_surface(scene, triangles, barycentrics.astype(np.float64))
+    keep = np.flatnonzero(front)
+    corners = scene.faces[triangles]
     wo = above_horizon(wo, points.normals)
     parts = validation.part_of_triangle(triangles)
     frames = tangent_frames(points.normals)

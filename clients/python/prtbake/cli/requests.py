@@ -110,6 +110,9 @@ Texture = Annotated[str | None, typer.Option(metavar="PNG", help="Albedo: a file
 Colours = Annotated[
     bool, typer.Option("--vertex-colours", help="Multiply the albedo by the colours of the mesh.")
 ]
+TwoSided = Annotated[
+    bool, typer.Option("--two-sided", help="The object reflects on its backs too.")
+]
 TangentsWord = Annotated[
     str,
     typer.Option(
@@ -175,6 +178,7 @@ def asset(
     subsurface: Medium = None,
     vertex_colours: Colours = False,
     tangents: TangentsWord = "horizontal",
+    two_sided: TwoSided = False,
     material: Materials = None,
     material_texture: MaterialTextures = None,
     receiver_texture: ReceiverTexture = None,
@@ -207,6 +211,8 @@ def asset(
     )
     if vertex_colours:
         scene["vertex_colours"] = True
+    if two_sided:
+        scene["two_sided"] = True
     light = environment_id(client, environment, layout=layout, repair_non_finite=repair_non_finite)
     return {
         "kind": "asset",
@@ -228,6 +234,7 @@ def bake(
     subsurface: Medium = None,
     vertex_colours: Colours = False,
     tangents: TangentsWord = "horizontal",
+    two_sided: TwoSided = False,
     material: Materials = None,
     material_texture: MaterialTextures = None,
     receiver_texture: ReceiverTexture = None,
@@ -258,6 +265,8 @@ def bake(
     )
     if vertex_colours:
         scene["vertex_colours"] = True
+    if two_sided:
+        scene["two_sided"] = True
     return {
         "kind": "bake",
         **scene,
