@@ -81,6 +81,7 @@ def test_submit_asset_from_words(
     assert request["subsurface"]["mm_per_unit"] == 10.0
     assert request["vertex_colours"] is True
     assert request["tangents"] == [0.0, 1.0, -0.5]
+    assert request["two_sided"] is False
 
 
 WAX = {
@@ -96,13 +97,15 @@ def test_submit_materials_from_words(
     texture = tmp_path / "wood.png"
     texture.write_bytes(b"png of wood")
     canonical = service.backend.blobs.put_bytes(b"a mesh of four groups")
-    groups = [{"name": name, "faces": 1} for name in ("lid", "wood Brown", "a/b#1", "body")]
+    names = ("lid", "lid top", "wood Brown", "a/b#1", "body")
+    groups = [{"name": name, "faces": 1} for name in names]
     result = {"canonical": canonical, "understood": {"groups": groups}}
     service.answer_next("register", lambda job: service.succeed(job, result))
     made = run(
         *("submit", "bake", "--mesh", "builtin:teapot:9", "--brdf", "lambert"),
         *("--material", "lid=ggx,alpha=0.3", "--material", "wood Brown=lambert,albedo=0.9"),
-        *("--material", 'a/b#1={"model": "phong", "exponent": 4}'),
+        *("--material", 'a/b#1={"model": "phong", "exponent": 4}', "--two-sided"),
+        *("--material", 'lid top={"brdf": {"model": "ggx"}, "two_sided": true}'),
         *("--material", f"body={json.dumps(WAX)}"),
         *("--material-texture", f"wood Brown={texture}", "--receiver-texture", texture),
         *("-o", "json"),
@@ -111,12 +114,15 @@ def test_submit_materials_from_words(
     request = json.loads(made.stdout)["request"]
     assert {name: one["brdf"]["model"] for name, one in request["materials"].items()} == {
         "lid": "ggx", "wood Brown": "lambert", "a/b#1": "phong", "body": "lambert",
+        "lid top": "ggx",
     }  # fmt: skip
     assert request["materials"]["body"]["subsurface"]["medium"] == "marble"
     digest = request["materials"]["wood Brown"]["albedo_texture"]
     assert service.backend.blobs.read_bytes(digest) == b"png of wood"
     assert request["receiver"]["albedo_texture"] == digest
     assert request["materials"]["lid"]["albedo_texture"] is None
+    assert request["two_sided"] is True
+    assert [name for name, one in request["materials"].items() if one["two_sided"]] == ["lid top"]
 
 
 def test_a_plane_is_words_or_json() -> None:

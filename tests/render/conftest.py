@@ -12,6 +12,7 @@ from prtbake_storage.decode.asset import Asset, Part
 from prtbake_storage.decode.view_map import hemi_octahedral_inverse, texel_centres
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
+from prtbake_workers.geometry.sides import both_sides
 from prtbake_workers.render.context import GlUnavailable, probe
 
 
@@ -35,10 +36,17 @@ def frames_about(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.stack([tangent, np.cross(normals, tangent), normals], axis=1)
 
 
-def make_scene(rng: np.random.Generator, scale: float = 1.0, n_channels: int = 1) -> Asset:
-    """A glossy sphere (CTA, a frame turned at random for each vertex) over a textured plane."""
+def make_scene(
+    rng: np.random.Generator, scale: float = 1.0, n_channels: int = 1, *, two_sided: bool = False
+) -> Asset:
+    """A glossy sphere (CTA, a frame turned at random for each vertex) over a textured plane.
+
+    The plane may have two sides.
+    """
     sphere, plane = sphere_mesh(3), grid_mesh(6, 6)
-    n, m, coeffs, r_view, r_light, r_vert = len(sphere.positions), 49, 12, 3, 4, 5
+    plane = both_sides(plane) if two_sided else plane
+    n, m = len(sphere.positions), len(plane.positions)
+    coeffs, r_view, r_light, r_vert = 12, 3, 4, 5
     map_directions = hemi_octahedral_inverse(texel_centres(32))
     x, y, z = np.moveaxis(map_directions, -1, 0)
     phi = np.stack([0.2 + z, x, x * x - y * y], axis=-1)[..., None] * [1.0, 0.9, 0.7]
@@ -61,7 +69,7 @@ def make_scene(rng: np.random.Generator, scale: float = 1.0, n_channels: int = 1
         labels=np.zeros(m, np.int32), weights=random(m, 1), means=random(1, n_channels * coeffs),
         components=0.1 * random(1, 1, n_channels * coeffs), albedo=np.array([0.7], np.float32),
         albedo_texture=rng.random((5, 7, 3)).astype(np.float32), ranks=np.ones((1, 3), np.int32),
-        n_channels=n_channels,
+        n_channels=n_channels, two_sided=two_sided,
     )  # fmt: skip
     positions = np.concatenate([sphere.positions, plane.positions * 5.0]) * scale
     uv = np.concatenate([np.zeros((n, 2)), rng.uniform(-1, 2, (m, 2))])
@@ -82,6 +90,12 @@ def scene(rng: np.random.Generator) -> Asset:
 def coloured_scene(rng: np.random.Generator) -> Asset:
     """The same with three channels of transfer."""
     return make_scene(rng, n_channels=3)
+
+
+@pytest.fixture
+def two_sided_scene(rng: np.random.Generator) -> Asset:
+    """The same over a plane that can be seen from below."""
+    return make_scene(rng, two_sided=True)
 
 
 @pytest.fixture

@@ -67,6 +67,36 @@ def test_gl_agrees_with_the_numpy_decode(scene: Asset, light: np.ndarray, azimut
         assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
 
 
+@pytest.mark.parametrize("elevation", [25.0, -25.0])
+def test_gl_shows_the_side_that_faces_the_eye(
+    two_sided_scene: Asset, light: np.ndarray, elevation: float
+) -> None:
+    """Both copies lie in one place: without culling the depth test would let rounding choose."""
+    own = two_sided_scene
+    bounds = np.stack([own.positions.min(axis=0), own.positions.max(axis=0)]).astype(np.float64)
+    view = pinhole(Camera(elevation_deg=elevation), WIDTH, HEIGHT, bounds)
+    half = own.parts[0].vertex_range[1] + own.parts[1].n_vertices // 2
+    with GlRenderer(own) as gl, CpuRenderer(own) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        interior, share = mismatch(gl, cpu, view)
+        assert interior < INTERIOR
+        assert share < SILHOUETTE_SHARE
+        triangles = gl.visibility(view, WIDTH, HEIGHT).triangles
+        first = own.faces[triangles[triangles >= 0], 0]
+        plane = first[first >= own.parts[1].vertex_range[0]]
+        assert len(plane) > 1000
+        assert ((plane >= half) == (elevation < 0.0)).all()
+    # negative twin: an asset that does not say so; from below, one of its sides is black
+    blind = replace(own, parts=(own.parts[0], replace(own.parts[1], two_sided=False)))
+    with GlRenderer(blind) as gl, CpuRenderer(own) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        shown = gl.visibility(view, WIDTH, HEIGHT).triangles
+        first = own.faces[shown[shown >= 0], 0]
+        assert (first[first >= own.parts[1].vertex_range[0]] < half).any()
+
+
 def test_gl_agrees_with_the_numpy_decode_in_three_channels(
     coloured_scene: Asset, light: np.ndarray
 ) -> None:

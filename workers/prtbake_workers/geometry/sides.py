@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from prtbake_workers.arrays import F32, F64, I64, Float64, Int64
+from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.geometry.grouping import group_rows
 from prtbake_workers.geometry.mesh import Mesh, corner_angles, face_area_vectors
 from prtbake_workers.geometry.topology import find_edges
@@ -37,15 +37,12 @@ def both_sides(mesh: Mesh) -> Mesh:
     first = mesh.faces + np.where(turned, n, 0)
     second = mesh.faces[:, ::-1] + np.where(turned[:, ::-1], 0, n)
 
-    def twice(array: F64 | F32) -> F64 | F32:
-        return np.concatenate([array, array])
-
     return Mesh(
-        positions=twice(mesh.positions),
+        positions=np.tile(mesh.positions, (2, 1)),
         faces=np.concatenate([first, second]).astype(np.int32),
         normals=np.concatenate([normals, -normals]),
-        uv=None if mesh.uv is None else twice(mesh.uv),
-        colours=None if mesh.colours is None else twice(mesh.colours),
+        uv=None if mesh.uv is None else np.tile(mesh.uv, (2, 1)),
+        colours=None if mesh.colours is None else np.tile(mesh.colours, (2, 1)),
         face_groups=None if mesh.face_groups is None else np.tile(mesh.face_groups, 2),
         group_names=mesh.group_names,
     )

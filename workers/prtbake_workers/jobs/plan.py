@@ -157,7 +157,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         notes=[
             *_term_notes(names, factorisations),
             *grain_notes(grain, _unread_tangents(parts, grain)),
-            *_unseen_insides(parts, bool(report.get("watertight", False))),
+            *_side_notes(parts, bool(report.get("watertight", False))),
             *repairs(report),
             *report.get("warnings", []),
         ],
@@ -227,13 +227,15 @@ def _unread_tangents(parts: Sequence[PartInput], grain: Sequence[Grain | None]) 
     ]
 
 
-def _unseen_insides(parts: Sequence[PartInput], watertight: bool) -> list[str]:
-    """Name the parts of a closed mesh that are baked on both sides."""
+def _side_notes(parts: Sequence[PartInput], watertight: bool) -> list[str]:
+    """Say which parts are baked on both sides, and for which of them that is for nothing."""
     return [
         f"the mesh is closed: the inside of {part.name} is dark and not seen from outside, and "
         f"two_sided bakes its {part.mesh.n_vertices // 2} vertices for nothing"
+        if watertight
+        else f"{part.name} has two sides: its {part.mesh.n_vertices // 2} vertices are baked twice"
         for part in parts
-        if part.two_sided and watertight
+        if part.two_sided
     ]
 
 

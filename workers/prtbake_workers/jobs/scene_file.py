@@ -118,10 +118,10 @@ def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:
     """Make an accelerator of some parts of a scene; None of none."""
     if not parts:
         return None
-    chosen = np.isin(scene.part_of_face, parts)
+    part_of_face = scene.part_of_face
     if scene.traced is not None:
-        chosen = scene.traced[chosen[scene.traced]]
-    return Accelerator(scene.positions, scene.faces[chosen])
+        part_of_face = part_of_face[scene.traced]
+    return Accelerator(scene.positions, scene.traced_faces[np.isin(part_of_face, parts)])
 
 
 def write_scene(path: Path, planned: PlannedScene) -> Path:

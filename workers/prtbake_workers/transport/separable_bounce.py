@@ -52,7 +52,7 @@ class BounceGather:
     Parameters
     ----------
     surface
-        All parts; they have one side.
+        All parts; those with two sides have a copy of every triangle for each.
     part, vertices
         The part that receives, and which of its vertices, in scene numbering.
     factorisations

@@ -45,7 +45,7 @@ def interpolate_surface(
 def turn_to_front(
     scene: Scene,
     triangles: Int64[I64, " points"],
-    barycentrics: Float64[F64, "points 3"],
+    barycentrics: Float32[F32, "points 3"] | Float64[F64, "points 3"],
     front: Bool[B8, " points"],
 ) -> None:
     """Put the other side's copy in the place of triangles that show a back, where there is one.

@@ -29,7 +29,7 @@ paths would draw the direct light's own random numbers."""
 class PathLight:
     """Traces paths from the pixels of one camera, by the true BRDFs, textures and colours.
 
-    Surfaces have one side, as in the bake.
+    Surfaces have the sides that they have in the bake.
 
     Attributes
     ----------
