@@ -1,5 +1,7 @@
 """A mesh and itself turned over: which copy is where, whatever the winding."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from prtbake_workers.geometry.raw_mesh import RawMesh
 from prtbake_workers.geometry.repair import repair
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.sides import both_sides
+from prtbake_workers.geometry.tangents import oriented_frames
 from support.bounce_scenes import bowl, turned_inside_out
 
 
@@ -123,6 +126,18 @@ def test_rays_leave_both_sides_as_they_leave_a_sheet(inward):
     blind = Scene.from_parts([both_sides(sheet)])
     assert (both.ray_points != both.positions).any()
     assert (blind.ray_points[:n] != both.ray_points[:n]).any()
+
+
+@pytest.mark.parametrize("tangents", ["uv", (0.3, 0.1, -1.0)])
+def test_both_sides_have_one_grain_in_right_handed_frames(tangents):
+    sheet = bowl(4, 10)
+    sheet = replace(sheet, uv=sheet.positions[:, [0, 2]] @ [[1.0, 0.5], [-0.2, 1.0]])
+    frames, n = oriented_frames(both_sides(sheet), tangents).frames, sheet.n_vertices
+    # a tangent and its opposite are one
+    along = (frames[:n, 0] * frames[n:, 0]).sum(axis=1)
+    assert np.abs(along) == pytest.approx(1.0, abs=1e-12)
+    assert (frames[:n, 2] == -frames[n:, 2]).all()
+    assert np.linalg.det(frames) == pytest.approx(1.0)
 
 
 def test_one_copy_is_traced_beside_parts_with_one_side():
