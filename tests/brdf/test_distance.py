@@ -48,10 +48,28 @@ def test_highlights_decide_one_figure_and_not_the_other():
     assert found.median_ratio == pytest.approx(1.0, abs=0.01)
 
 
+def test_anisotropic_brdfs_are_seen_from_all_sides():
+    along, across, round_ = (
+        brdf_from_spec(WardSpec(kd=0.0, ks=0.5, alpha_x=x, alpha_y=y))
+        for x, y in ((0.3, 0.5), (0.5, 0.3), (0.4, 0.4))
+    )
+    assert brdf_distance(along, along).relative_l2 == 0.0
+    # a quarter turn of one is the other: as far from what a turn leaves as it is
+    one, other = (brdf_distance(each, round_).relative_l2 for each in (along, across))
+    assert one == pytest.approx(other, rel=1e-9)
+    assert 0.1 < one < brdf_distance(along, across).relative_l2
+    # twin: seen from one side only they are not as far from each other as the other way round
+    sides = [
+        brdf_distance(*pair, n_azimuths=1).relative_l2
+        for pair in ((along, across), (across, along))
+    ]
+    assert sides[0] != pytest.approx(sides[1], rel=1e-3)
+    assert brdf_distance(along, across).relative_l2 == pytest.approx(
+        brdf_distance(across, along).relative_l2, rel=1e-9
+    )
+
+
 def test_what_cannot_be_compared_is_refused():
-    brushed = brdf_from_spec(WardSpec(alpha_x=0.1, alpha_y=0.3))
-    with pytest.raises(BrdfError, match="isotropic"):
-        brdf_distance(brushed, GREY)
     black = brdf_from_spec(LambertSpec(albedo=0.0))
     with pytest.raises(BrdfError, match="black"):
         brdf_distance(GREY, black)

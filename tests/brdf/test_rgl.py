@@ -5,7 +5,8 @@ from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.checks import check_energy, check_reciprocity
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.ggx import Ggx
-from prtbake_workers.brdf.rgl import CHUNK, rgl_from_tensors
+from prtbake_workers.brdf.rgl import CHUNK
+from prtbake_workers.brdf.rgl_fields import rgl_from_tensors
 from prtbake_workers.brdf.symmetrised import Symmetrised
 from prtbake_workers.brdf.tensor_file import read_tensor_file
 from support.tensor_file import ggx_fields, tensor_bytes
@@ -148,7 +149,7 @@ def spoiled(name, value):
             lambda f: {k: v for k, v in f.items() if k != "rgb"} | {"spectra": f["rgb"]},
             "holds spectra",
         ),
-        (lambda f: f | {"phi_i": np.linspace(0, 1, 8).astype("f4")}, "anisotropic"),
+        (lambda f: f | {"phi_i": np.linspace(0, 1, 8).astype("f4")}, "beside 8 azimuths"),
         (cut("theta_i", slice(0, 5)), "'vndf' has shape .* beside 1 azimuths and 5 angles"),
         (lambda f: f | {"theta_i": f["theta_i"][::-1]}, "does not rise"),
         (lambda f: f | {"rgb": f["rgb"][:, :, :2]}, "has 2 channels"),

@@ -7,13 +7,17 @@ import pytest
 
 from prtbake_storage.contract.brdf import CookTorranceSpec
 from prtbake_storage.errors import BrdfError
+from prtbake_workers.brdf.base import is_isotropic
+from prtbake_workers.brdf.distance import brdf_distance
 from prtbake_workers.brdf.ggx import Ggx
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.brdf.ward import Ward
+from prtbake_workers.jobs import register_brdf
 from prtbake_workers.jobs.inputs import load_brdf
 from support.keras_file import network
 from support.local_stages import registered
 from support.scattered_file import goniometer, grey_samples, spectral_text
-from support.tensor_file import ggx_fields, tensor_bytes
+from support.tensor_file import ggx_fields, oriented_fields, tensor_bytes
 
 
 def add(store, data, **registration):
@@ -93,6 +97,55 @@ def test_a_tensor_file_becomes_a_measured_brdf(store):
     loaded = load_brdf(store, understood["spec"])
     up = np.array([[0.0, 0.6, 0.8]])
     np.testing.assert_allclose(loaded.eval_brdf(up, up), ggx.eval_brdf(up, up), rtol=0.02)
+
+
+class Askew:
+    """A brushed surface with its grain 20 degrees off x."""
+
+    n_channels = 3
+
+    def eval_brdf(self, wi, wo):
+        c, s = np.cos(np.deg2rad(20.0)), np.sin(np.deg2rad(20.0))
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        return BRUSHED.eval_brdf(wi @ turn, wo @ turn)
+
+
+BRUSHED = Ward(np.full(3, 0.2), np.array([0.6, 0.5, 0.4]), 0.3, 0.6)
+COARSE = {"n_lights": 4, "n": 10, "n_normals": 24, "n_rows": 25}
+
+
+@pytest.mark.parametrize(("reduction", "n_azimuths"), [(4, 5), (2, 9)])
+def test_an_anisotropic_tensor_file_becomes_an_anisotropic_brdf(
+    store, reduction, n_azimuths, monkeypatch
+):
+    monkeypatch.setattr(register_brdf, "N_ANGLES_ORIENTED", 1)
+    fields = oriented_fields(
+        BRUSHED, (0.3, 0.6), reduction=reduction, n_azimuths=n_azimuths, **COARSE
+    )
+    found = add(store, tensor_bytes(fields), filename="brushed_rgb.bsdf")
+    understood = found["understood"]
+    assert understood["spec"] == {"model": "measured", "format": "rgl", "data": found["canonical"]}
+    assert not understood["isotropic"]
+    assert understood["reciprocity"]["reciprocal"]
+    assert (understood["file"]["reduction"], understood["file"]["n_azimuths"]) == (
+        reduction, n_azimuths,
+    )  # fmt: skip
+    assert ("mirror_asymmetry" in understood["file"]) == (reduction == 2)
+    # so coarse a table is not its own mirror image: the bilinear cells are not
+    assert understood["file"].get("mirror_asymmetry", 0.0) < 0.1
+    assert 0.0 < understood["as_given"]["asymmetry"] < 0.1
+    loaded = load_brdf(store, understood["spec"])
+    assert not is_isotropic(loaded)
+    # tables as coarse as these; twin: the surface turned by a quarter is farther
+    assert brdf_distance(loaded, BRUSHED).relative_l2 < 0.12
+    assert brdf_distance(loaded, Ward(BRUSHED.kd, BRUSHED.ks, 0.6, 0.3)).relative_l2 > 0.2
+
+
+def test_a_tensor_file_whose_grain_lies_askew_is_refused(store):
+    fields = oriented_fields(Askew(), (0.3, 0.6), reduction=2, n_azimuths=9, **COARSE)
+    with pytest.raises(BrdfError, match=r"not mirror-symmetric about its .* askew") as caught:
+        add(store, tensor_bytes(fields), filename="askew_rgb.bsdf")
+    assert caught.value.pointer == "/blob"
 
 
 def test_scattered_samples_become_a_table_with_its_error(store):

@@ -23,12 +23,21 @@ def test_a_table_comes_back(table: np.ndarray, tmp_path: Path) -> None:
     assert back.arrays["values"].dtype == np.float32
 
 
-def test_every_array_of_a_tensor_file_comes_back(rng: np.random.Generator, tmp_path: Path) -> None:
-    shapes = {
-        "theta_i": (4,), "sigma": (6,), "ndf": (3, 6), "vndf": (4, 3, 6), "rgb": (4, 5, 5, 3),
-    }  # fmt: skip
+ISOTROPIC = {
+    "theta_i": (4,), "sigma": (6,), "ndf": (3, 6), "vndf": (4, 3, 6), "rgb": (4, 5, 5, 3),
+}  # fmt: skip
+ORIENTED = {
+    "phi_i": (5,), "theta_i": (4,), "sigma": (3, 6), "ndf": (3, 6), "vndf": (5, 4, 3, 6),
+    "rgb": (5, 4, 7, 7, 3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "shapes"), [("rgl", ISOTROPIC), ("rgl_oriented", ORIENTED)])
+def test_every_array_of_a_tensor_file_comes_back(
+    rng: np.random.Generator, tmp_path: Path, kind: str, shapes: dict[str, tuple[int, ...]]
+) -> None:
     arrays = {name: rng.random(shape).astype(np.float32) for name, shape in shapes.items()}
-    write_brdf(tmp_path / "b.h5", BrdfFile("rgl", arrays))
+    write_brdf(tmp_path / "b.h5", BrdfFile(kind, arrays))
     back = read_brdf(tmp_path / "b.h5")
     assert set(back.arrays) == set(arrays)
     for name, array in arrays.items():

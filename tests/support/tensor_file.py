@@ -111,3 +111,69 @@ def ggx_fields(brdf, alpha, n_lights=9, n=32, n_normals=96, n_rows=24):
         "rgb": rgb.astype("f4"),
         "jacobian": np.ones(1, "u1"),
     }
+
+
+def oriented_facets(m, alphas):
+    """Anisotropic GGX's density of normals."""
+    x, y, z = np.moveaxis(m, -1, 0)
+    ax, ay = alphas
+    return 1 / (np.pi * ax * ay * ((x / ax) ** 2 + (y / ay) ** 2 + z * z) ** 2)
+
+
+def oriented_area(w, alphas):
+    """Projected area of its facets."""
+    x, y, z = np.moveaxis(w, -1, 0)
+    ax, ay = alphas
+    return 0.5 * (z + np.sqrt(z * z + (ax * x) ** 2 + (ay * y) ** 2))
+
+
+def polar(theta, phi):
+    """Unit vectors, theta and phi broadcast."""
+    return np.stack(
+        np.broadcast_arrays(
+            np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
+        ),
+        axis=-1,
+    )
+
+
+@cache
+def oriented_fields(
+    brdf, alphas, reduction=4, n_azimuths=5, n_lights=6, n=20, n_normals=48, n_rows=49
+):
+    """Tabulate an anisotropic surface of three channels as the EPFL's files hold one.
+
+    Any will do: the facets of an anisotropic GGX only say where its values lie close together.
+    """
+    u = np.linspace(0, 1, n_normals)
+    theta_m, phi_m = u**2 * np.pi / 2, (2 * np.linspace(0, 1, n_rows)[:, None] - 1) * np.pi
+    normals = polar(theta_m, phi_m)
+    ndf = oriented_facets(normals, alphas)
+    phi_i = -np.pi + np.linspace(0, 2 * np.pi / reduction, n_azimuths)
+    theta_i = np.linspace(0, 1, n_lights) ** 0.7 * np.deg2rad(85)
+    vndf = np.zeros((n_azimuths, n_lights, n_rows, n_normals))
+    rgb = np.zeros((n_azimuths, n_lights, 3, n, n))
+    for j, azimuth in enumerate(phi_i):
+        for k, theta in enumerate(theta_i):
+            wi = polar(theta, azimuth)
+            area = oriented_area(wi, alphas)
+            seen = np.maximum(normals @ wi, 0.0)
+            vndf[j, k] = seen * ndf / area * 2 * np.pi**2 * u * np.sin(theta_m)
+            # the table is read in float32, and so must be inverted
+            x, y = sample(vndf[j, k].astype(np.float32).astype(np.float64), n, n_fine=1001)
+            m = polar(x**2 * np.pi / 2, (2 * y - 1) * np.pi)
+            wo = 2 * (m @ wi)[..., None] * m - wi
+            value = brdf.eval_brdf(np.broadcast_to(wi, wo.shape), wo) * np.maximum(wo[..., 2:], 0)
+            value *= 4 * area / bilinear(ndf, x, y)[..., None]
+            rgb[j, k] = np.moveaxis(value, -1, 0)
+    return {
+        "description": np.frombuffer(b"a brushed surface", "u1"),
+        "phi_i": phi_i.astype("f4"),
+        "theta_i": theta_i.astype("f4"),
+        "sigma": oriented_area(normals, alphas).astype("f4"),
+        "ndf": ndf.astype("f4"),
+        "vndf": vndf.astype("f4"),
+        "luminance": np.ones((n_azimuths, n_lights, n, n), "f4"),
+        "rgb": rgb.astype("f4"),
+        "jacobian": np.ones(1, "u1"),
+    }

@@ -20,6 +20,14 @@ AXES: Mapping[str, Mapping[str, str]] = {
         "vndf": "lights rows columns",
         "rgb": "lights up along channels",
     },
+    "rgl_oriented": {
+        "phi_i": "azimuths",
+        "theta_i": "lights",
+        "sigma": "lines angles",
+        "ndf": "rows columns",
+        "vndf": "azimuths lights rows columns",
+        "rgb": "azimuths lights up along channels",
+    },
 }
 """Arrays of each parametrisation, with the names of their axes."""
 

@@ -9,54 +9,64 @@ from prtbake_storage.errors import BrdfError
 from prtbake_workers.arrays import F32, F64, Float32, Float64
 
 
-class Slices(NamedTuple):
-    """Between which two slices of a table each lookup falls: the first, and the second's share."""
+class Cells(NamedTuple):
+    """Between which two nodes of an axis each lookup falls: the first, and the second's share."""
 
     first: np.ndarray
     share: Float64[F64, " n"]
 
 
-def slices_at(nodes: Float64[F64, " nodes"], values: Float64[F64, " n"]) -> Slices:
-    """Find the slices around some values of the parameter; held at the ends of its nodes."""
+class Blend(NamedTuple):
+    """Which slices of a table each lookup mixes, and the share of each; a row each."""
+
+    slices: np.ndarray
+    shares: Float64[F64, "mixed n"]
+
+
+def slices_at(nodes: Float64[F64, " nodes"], values: Float64[F64, " n"]) -> Blend:
+    """Mix the slices around some values of the parameter; held at the ends of its nodes."""
     if len(nodes) == 1:
-        return Slices(np.zeros(values.shape, np.intp), np.zeros(values.shape))
+        return Blend(np.zeros((1, *values.shape), np.intp), np.ones((1, *values.shape)))
     first = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, len(nodes) - 2)
-    share = (values - nodes[first]) / (nodes[first + 1] - nodes[first])
-    return Slices(first, np.clip(share, 0.0, 1.0))
+    share = np.clip((values - nodes[first]) / (nodes[first + 1] - nodes[first]), 0.0, 1.0)
+    return Blend(np.stack([first, first + 1]), np.stack([1.0 - share, share]))
 
 
-def cells_of(n_nodes: int, place: Float64[F64, " n"]) -> Slices:
+def slices_of_both(outer: Blend, inner: Blend, n_inner: int) -> Blend:
+    """Mix slices over two parameters; ``n_inner`` of the second stand together."""
+    n = outer.slices.shape[1]
+    slices = outer.slices[:, None] * n_inner + inner.slices
+    return Blend(slices.reshape(-1, n), (outer.shares[:, None] * inner.shares).reshape(-1, n))
+
+
+def cells_of(n_nodes: int, place: Float64[F64, " n"]) -> Cells:
     """Find the cells of places in [0, 1] among equidistant nodes that include both ends."""
     scaled = np.clip(place, 0.0, 1.0) * (n_nodes - 1)
     cell = np.minimum(scaled.astype(np.intp), n_nodes - 2)
-    return Slices(cell, scaled - cell)
+    return Cells(cell, scaled - cell)
 
 
 def look_up(
     table: Float32[F32, "slices rows columns channels"],
-    slices: Slices,
+    slices: Blend,
     x: Float64[F64, " n"],
     y: Float64[F64, " n"],
 ) -> Float64[F64, "n channels"]:
     """Interpolate a table, bilinear in its square (x along columns) and linear between slices."""
-    n_slices, n_rows, n_columns, n_channels = table.shape
+    _, n_rows, n_columns, n_channels = table.shape
     flat = table.reshape(-1, n_channels)
     column, row = cells_of(n_columns, x), cells_of(n_rows, y)
     value = np.zeros((len(x), n_channels))
-    for step_s in range(min(n_slices, 2)):
+    for one, share in zip(*slices, strict=True):
         for step_y in range(2):
             for step_x in range(2):
-                weight = (
-                    _share(slices, step_s, n_slices) * _share(row, step_y) * _share(column, step_x)
-                )
-                at = (slices.first + step_s) * n_rows + row.first + step_y
+                weight = share * _share(row, step_y) * _share(column, step_x)
+                at = one * n_rows + row.first + step_y
                 value += weight[:, None] * flat[at * n_columns + column.first + step_x]
     return value
 
 
-def _share(cell: Slices, step: int, n_nodes: int = 2) -> Float64[F64, " n"]:
-    if n_nodes == 1:
-        return np.ones_like(cell.share)
+def _share(cell: Cells, step: int) -> Float64[F64, " n"]:
     return cell.share if step else 1.0 - cell.share
 
 
@@ -94,20 +104,18 @@ class BilinearWarp:
         object.__setattr__(self, "_marginal", marginal / total[:, None])
 
     def invert(
-        self, slices: Slices, x: Float64[F64, " n"], y: Float64[F64, " n"]
+        self, slices: Blend, x: Float64[F64, " n"], y: Float64[F64, " n"]
     ) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:
         """Give the conditional cumulative probability at x and the marginal one at y.
 
         Densities and their integrals are interpolated between slices, each slice normalised.
         """
-        n_slices, n_rows, n_columns = self.density.shape
+        _, n_rows, n_columns = self.density.shape
         column, row = cells_of(n_columns, x), cells_of(n_rows, y)
         corners = np.zeros((2, 2, len(x)))
         before, total = np.zeros((2, len(x))), np.zeros((2, len(x)))
         below = np.zeros(len(x))
-        for step_s in range(min(n_slices, 2)):
-            weight = _share(slices, step_s, n_slices)
-            at = slices.first + step_s
+        for at, weight in zip(*slices, strict=True):
             below += weight * self._marginal[at, row.first]
             for step_y in range(2):
                 line = row.first + step_y

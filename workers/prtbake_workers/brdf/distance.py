@@ -28,20 +28,32 @@ class BrdfDistance:
 
 
 def brdf_distance(
-    brdf: Brdf, reference: Brdf, *, n_theta: int = 32, n_phi: int = 128
+    brdf: Brdf,
+    reference: Brdf,
+    *,
+    n_theta: int | None = None,
+    n_phi: int | None = None,
+    n_azimuths: int = 8,
 ) -> BrdfDistance:
-    """Compare two isotropic BRDFs on rings uniform in cos theta and azimuths uniform in phi.
+    """Compare two BRDFs on rings uniform in cos theta and azimuths uniform in phi.
+
+    32 rings and 128 azimuths of the view unless given; where one of the BRDFs is anisotropic 16 and
+    64, from each of ``n_azimuths`` azimuths of the light.
 
     Raises
     ------
     BrdfError
-        One of them is anisotropic, or the reference alone is black.
+        The reference alone is black.
     """
-    if not (is_isotropic(brdf) and is_isotropic(reference)):
-        raise BrdfError("the distance is defined for isotropic BRDFs")
+    oriented = not (is_isotropic(brdf) and is_isotropic(reference))
+    n_theta, n_phi = n_theta or (16 if oriented else 32), n_phi or (64 if oriented else 128)
+    lights = 2.0 * np.pi * (np.arange(n_azimuths) + 0.5) / n_azimuths if oriented else np.zeros(1)
     cosines = (np.arange(n_theta) + 0.5) / n_theta
     values, wanted = np.broadcast_arrays(
-        *(_values(each, cosines, n_phi) for each in (brdf, reference))
+        *(
+            np.stack([_values(each, cosines, n_phi, light) for light in lights])
+            for each in (brdf, reference)
+        )
     )
     weight = cosines[:, None, None, None] * cosines[:, None, None]
     norm = float(np.linalg.norm(wanted * weight))
@@ -57,12 +69,12 @@ def brdf_distance(
 
 
 def _values(
-    brdf: Brdf, cosines: Float64[F64, " theta"], n_phi: int
+    brdf: Brdf, cosines: Float64[F64, " theta"], n_phi: int, light: float
 ) -> Float64[F64, "theta theta phi channels"]:
     """Evaluate at every pair of rings and every difference of azimuths, at midpoints."""
-    phi = 2.0 * np.pi * (np.arange(n_phi) + 0.5) / n_phi
+    phi = light + 2.0 * np.pi * (np.arange(n_phi) + 0.5) / n_phi
     sines = np.sqrt(1.0 - cosines * cosines)
-    wi = np.stack([sines, np.zeros_like(sines), cosines], axis=-1)[:, None, None]
+    wi = np.stack([sines * np.cos(light), sines * np.sin(light), cosines], axis=-1)[:, None, None]
     around = np.broadcast_arrays(
         sines[:, None] * np.cos(phi), sines[:, None] * np.sin(phi), cosines[:, None]
     )

@@ -13,7 +13,8 @@ from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.half_difference_table import HalfDifferenceTable
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.brdf.rgl import RglTensor
-from prtbake_workers.brdf.symmetrised import Symmetrised
+from prtbake_workers.brdf.rgl_oriented import OrientedRglTensor
+from prtbake_workers.brdf.symmetrised import Symmetrised, SymmetrisedOriented
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.render.images import read_albedo_texture
@@ -53,6 +54,9 @@ def measured_brdf(file: BrdfFile) -> Brdf:
     """Make the BRDF of a canonical file."""
     if file.parametrisation == "rgl":
         return Symmetrised(RglTensor(**file.arrays))
+    if file.parametrisation == "rgl_oriented":
+        tensor = OrientedRglTensor(**file.arrays)
+        return SymmetrisedOriented(tensor, tensor.mirror_images)
     return HalfDifferenceTable(file.arrays["values"])
 
 

@@ -21,21 +21,25 @@ from prtbake_workers.brdf.checks import check_energy, check_reciprocity
 from prtbake_workers.brdf.distance import brdf_distance
 from prtbake_workers.brdf.fit_tables import is_fit_table, read_fit_table
 from prtbake_workers.brdf.merl import is_merl, read_merl
+from prtbake_workers.brdf.mirrors import check_mirrors
 from prtbake_workers.brdf.registry import brdf_from_spec
-from prtbake_workers.brdf.rgl import rgl_from_tensors
+from prtbake_workers.brdf.rgl import RglTensor
+from prtbake_workers.brdf.rgl_fields import rgl_from_tensors
+from prtbake_workers.brdf.rgl_oriented import OrientedRglTensor
 from prtbake_workers.brdf.scattered import interpolate_scattered
 from prtbake_workers.brdf.scattered_text import is_scattered_text, read_scattered_text
-from prtbake_workers.brdf.symmetrised import Symmetrised
+from prtbake_workers.brdf.symmetrised import Symmetrised, SymmetrisedOriented
 from prtbake_workers.brdf.tensor_file import is_tensor_file, read_tensor_file
+from prtbake_workers.jobs.inputs import measured_brdf
 from prtbake_workers.jobs.keras_weights import is_hdf5, read_keras_weights
 
 MAX_JSON_BYTES = 1 << 20
 MAX_FILE_BYTES = 256 << 20
 """Largest file read; an isotropic measurement is a tenth of it."""
 
-N_ANGLES, N_ANGLES_SYMMETRISED = 17, 9
+N_ANGLES, N_ANGLES_SYMMETRISED, N_ANGLES_ORIENTED = 17, 9, 3
 """Angles of light at which the albedo is taken: somebody waits for it, and a symmetrised BRDF takes
-four evaluations for one."""
+four evaluations for one; an anisotropic one takes ten times as many, up to eight for one."""
 
 
 class Understood(NamedTuple):
@@ -72,6 +76,8 @@ def parse_brdf(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 def _n_angles(brdf: Brdf) -> int:
+    if isinstance(brdf, SymmetrisedOriented):
+        return N_ANGLES_ORIENTED
     return N_ANGLES_SYMMETRISED if isinstance(brdf, Symmetrised) else N_ANGLES
 
 
@@ -139,9 +145,11 @@ def _from_merl(data: bytes, context: TaskContext) -> Understood:
 
 def _from_tensors(data: bytes, context: TaskContext) -> Understood:
     tensor, report = rgl_from_tensors(read_tensor_file(data))
-    arrays = {name: getattr(tensor, name) for name in AXES["rgl"]}
-    file = BrdfFile("rgl", arrays, report)
-    return _measured("rgl", Symmetrised(tensor), file, context)
+    kind = "rgl" if isinstance(tensor, RglTensor) else "rgl_oriented"
+    if isinstance(tensor, OrientedRglTensor) and tensor.mirror_images > 1:
+        report["mirror_asymmetry"] = check_mirrors(tensor)
+    file = BrdfFile(kind, {name: getattr(tensor, name) for name in AXES[kind]}, report)
+    return _measured("rgl", measured_brdf(file), file, context)
 
 
 def _from_scattered(data: bytes, context: TaskContext) -> Understood:
