@@ -67,12 +67,12 @@ def test_submit_asset_from_words(
         *("--receiver", "resolution=8,extent=3", "--effect", "self_shadowing=off"),
         *("--subsurface", "marble,mm_per_unit=10", "--tangents", "0:1:-0.5"),
         *("--albedo-texture", texture, "--vertex-colours", "--set", "bake.n_terms=16"),
-        *("--set", "compress.ranks=8,48,24", "-o", "json"),
+        *("--set", "bake.n_centres=auto", "--set", "compress.ranks=8,48,24", "-o", "json"),
     )
     assert made.exit_code == 0, made.output
     request = json.loads(made.stdout)["request"]
     assert request["brdf"]["albedo"] == [0.9, 0.2, 0.1]
-    assert request["settings"]["bake"] == {"n_terms": 16}
+    assert request["settings"]["bake"] == {"n_terms": 16, "n_centres": "auto"}
     assert request["settings"]["compress"] == {"ranks": [8, 48, 24]}
     assert request["receiver"]["resolution"] == 8
     assert request["effects"]["self_shadowing"] == "off"

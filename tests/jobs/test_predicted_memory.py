@@ -2,10 +2,10 @@
 
 import pytest
 
-from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.planning.cost import plan_memory_bytes, tile_memory_bytes
+from prtbake_workers.planning.presets import PlannedBake
 from support.scenes import asset_request, teapot_context
 from support.task_child import run_child
 
@@ -22,7 +22,7 @@ def test_planning_and_a_tile_hold_what_is_predicted(store):
     start, stop = planned.result["plan"]["parts"][0]["tiles"][0]
     tile = run_child(stages[1].tasks(results)[0], store)
 
-    bake = BakeSettings.model_validate(BAKE)
+    bake = PlannedBake.model_validate(BAKE)
     held = {
         "plan": (planned.measured.peak_memory_bytes, plan_memory_bytes(bake)),
         "bake": (

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.settings import BakeSettings
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.planning.cost import compress_memory_bytes, part_cost
-from prtbake_workers.planning.presets import PartCompression
+from prtbake_workers.planning.presets import PartCompression, PlannedBake
 
 VERTS, COEFFS = 120, 42
-BAKE = BakeSettings(n_centres=COEFFS)
+BAKE = PlannedBake(n_centres=COEFFS)
 
 
 def cost_of(method, n_terms, n_channels):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.settings import AssetSettings, CompressSettings
+from prtbake_storage.contract.settings import AssetSettings, BakeSettings, CompressSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.planning.presets import LADDER, resolve_compression, resolve_stages
 
@@ -14,6 +14,7 @@ def test_every_step_of_the_ladder_resolves_and_grows():
     for lower, upper in pairwise(steps):
         assert lower.bake.cube_resolution <= upper.bake.cube_resolution
         assert lower.bake.term_energy_lost > upper.bake.term_energy_lost
+        assert lower.bake.projection_tolerance > upper.bake.projection_tolerance
         assert lower.fit_light.n_lobes < upper.fit_light.n_lobes
 
 
@@ -45,6 +46,18 @@ def test_overrides_replace_only_the_fields_given():
     assert changed.compress == plain.compress
 
 
+def test_numbers_left_open_are_told_from_those_that_a_quality_sets():
+    plain = resolve_stages("draft", AssetSettings())
+    assert (plain.planned_bake.cube_resolution, plain.planned_bake.n_centres) == (16, 162)
+    assert plain.planned_bake.model_dump() == plain.bake.model_dump()
+    for name in ("cube_resolution", "n_centres"):
+        left = resolve_stages("draft", AssetSettings(bake={name: "auto"}))
+        assert left.bake.open_numbers == (name,)
+        assert left.bake.projection_tolerance == plain.bake.projection_tolerance
+        with pytest.raises(ValidationError, match=name):
+            left.planned_bake  # noqa: B018
+
+
 def test_a_given_number_of_terms_takes_the_place_of_the_energy():
     settings = resolve_stages("medium", AssetSettings(bake={"n_terms": 16}))
     assert settings.bake.n_terms == 16
@@ -56,6 +69,9 @@ def test_a_given_number_of_terms_takes_the_place_of_the_energy():
     [
         ("bake", {"n_centres": 100}),
         ("bake", {"nonsense": 1}),
+        ("bake", {"projection_tolerance": 0.0}),
+        ("bake", {"n_centres": "auto", "bandwidth": 60.0}),
+        ("bake", {"n_centres": 10242, "cube_resolution": "auto"}),
         ("bake", {"frame_seed": -1}),  # numpy's generators refuse it
         ("bake", {"frame_seed": 2**63}),  # more than a file's integers hold
         ("compress", {"ranks": [0, 1, 1]}),
@@ -65,6 +81,22 @@ def test_a_given_number_of_terms_takes_the_place_of_the_energy():
 def test_illegal_overrides_are_refused_at_submission(stage, fields):
     with pytest.raises(ValidationError, match=stage):
         AssetSettings(**{stage: fields})
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"n_centres": "auto", "bandwidth": 60.0}, "a bandwidth goes with a number of n_centres"),
+        ({"n_centres": 10242, "cube_resolution": "auto"}, "10242 centres need a cube_resolution"),
+    ],
+)
+def test_what_planning_cannot_choose_the_rest_for_says_what_is_missing(fields, words):
+    with pytest.raises(ValidationError, match=words):
+        BakeSettings.model_validate(fields)
+    # twins: both open without, both given, and the centres alone
+    BakeSettings(n_centres="auto", cube_resolution="auto")
+    BakeSettings(n_centres=642, bandwidth=60.0, cube_resolution="auto")
+    BakeSettings(n_centres=10242, cube_resolution=66)
 
 
 def test_compression_follows_the_number_of_terms_and_vertices():

@@ -12,6 +12,7 @@ Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
 Rank = Annotated[int, Field(ge=1, lt=2**31)]
 CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
+MOST_CENTRES = 10242
 
 
 class Effects(Wire):
@@ -67,15 +68,19 @@ class BakeSettings(Wire):
     squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
     forced on, fewer rays are taken where their noise is predicted or measured to stay below half of
     the tolerance.  Parts with a medium whose scattering moves no more than
-    ``subsurface_tolerance`` of their light reflect it where it falls.
+    ``subsurface_tolerance`` of their light reflect it where it falls.  Where ``cube_resolution`` or
+    ``n_centres`` is ``auto`` planning samples transport at some vertices and takes the fewest that
+    it predicts to leave no more than ``projection_tolerance`` of it, of at most 48 and 2562.
     """
 
-    cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
-    """N of 6 N^2 directions that light is simulated in."""
+    cube_resolution: Annotated[int, Field(ge=2, le=128)] | Literal["auto"] = 32
+    """N of 6 N^2 directions that light is simulated in; `auto` leaves it to planning."""
     supersample: Annotated[int, Field(ge=1, le=8)] = 1
     """S of S^2 shadow rays a direction."""
-    n_centres: CentreCount = 642
-    """Functions of the basis that transport is projected on."""
+    n_centres: CentreCount | Literal["auto"] = 642
+    """Functions of the basis that transport is projected on; `auto` leaves it to planning."""
+    projection_tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
+    """Squared, relative: what a projection that planning chooses may leave of transport."""
     bandwidth: Positive | None = None
     """Of these functions: larger is narrower; null is 60 for 642 centres, and in proportion."""
     n_terms: Annotated[int, Field(ge=1, le=256)] | None = None
@@ -96,6 +101,23 @@ class BakeSettings(Wire):
     """Vertices a task; null leaves it to planning."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     """Of a task."""
+
+    @property
+    def open_numbers(self) -> tuple[str, ...]:
+        """Fields that planning is to choose."""
+        numbers = {"cube_resolution": self.cube_resolution, "n_centres": self.n_centres}
+        return tuple(name for name, value in numbers.items() if value == "auto")
+
+    @field_validator("n_centres", "bandwidth")
+    @classmethod
+    def _known(cls, value: float | str | None, info: ValidationInfo) -> float | str | None:
+        """Refuse what planning cannot choose the rest for."""
+        if info.field_name == "bandwidth":
+            if value is not None and info.data.get("n_centres") == "auto":
+                raise ValueError("a bandwidth goes with a number of n_centres, not with auto")
+        elif value == MOST_CENTRES and info.data.get("cube_resolution") == "auto":
+            raise ValueError(f"{MOST_CENTRES} centres need a cube_resolution beside them, of 66")
+        return value
 
 
 class CompressSettings(Wire):

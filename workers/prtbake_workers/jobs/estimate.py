@@ -14,7 +14,7 @@ from prtbake_storage.contract.jobs import (
     ValidateRequest,
     job_request_adapter,
 )
-from prtbake_storage.contract.settings import BakeSettings, CompressSettings, ValidateSettings
+from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
@@ -31,7 +31,12 @@ from prtbake_workers.planning.cost import (
     part_cost,
     validate_seconds,
 )
-from prtbake_workers.planning.presets import StageSettings, resolve_compression, resolve_stages
+from prtbake_workers.planning.presets import (
+    PlannedBake,
+    StageSettings,
+    resolve_compression,
+    resolve_stages,
+)
 
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
@@ -126,7 +131,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
     """Predict from the header of the transfer."""
     with open_transfer(store.local_path(given["artefacts"]["transfer"]["digest"])) as transfer:
         header = transfer.header
-    bake = BakeSettings.model_validate({"n_centres": len(header.centres)})
+    bake = PlannedBake.model_validate({"n_centres": len(header.centres)})
     plan: dict[str, Any] = {"kind": "compress", "parts": []}
     costs = []
     for part in header.parts:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
@@ -20,13 +20,15 @@ from prtbake_workers.jobs.materials import PartInput, part_inputs
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
+    occluder_accelerator,
     reflection_of,
     write_projection,
     write_scene,
 )
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.grain import Grain, grain_notes
-from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan
+from prtbake_workers.planning.light_resolution import choose_light_resolution
+from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan, occluders_of
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.subsurface import decide_subsurface
 from prtbake_workers.transport.directions import cube_directions
@@ -144,6 +146,18 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     factorisations = tuple(
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
+    notes: tuple[str, ...] = ()
+    if settings.bake.open_numbers:
+        chosen = choose_light_resolution(
+            scene,
+            _accelerators(scene, [occluders_of(p, roles, effects) for p in range(len(parts))]),
+            factorisations,
+            settings.bake,
+            names=names,
+            seed=args["seed"] + 6,
+        )
+        settings, notes = replace(settings, bake=chosen.bake), chosen.notes
+        effects.append(chosen.decision)
     plan = make_plan(
         scene,
         names,
@@ -155,6 +169,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         chunk_vertices=transfer_chunk_vertices,
         spectra=[factorisation.singular_values for factorisation in factorisations],
         notes=[
+            *notes,
             *_term_notes(names, factorisations),
             *grain_notes(grain, _unread_tangents(parts, grain)),
             *_side_notes(parts, bool(report.get("watertight", False))),
@@ -208,6 +223,12 @@ def _header(
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
+
+
+def _accelerators(scene: Scene, occluders: Sequence[tuple[int, ...]]) -> list[Accelerator | None]:
+    """Make what blocks the light of each part; parts that the same blocks share it."""
+    made = {parts: occluder_accelerator(scene, list(parts)) for parts in set(occluders)}
+    return [made[parts] for parts in occluders]
 
 
 def _grain_of(parts: Sequence[PartInput], brdfs: Sequence[Brdf]) -> list[Grain | None]:
@@ -293,5 +314,5 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
         },
         "condition": basis.condition,
-        "settings": args["settings"],
+        "settings": args["settings"] | {"bake": planned.header["bake"]},
     }

@@ -11,12 +11,11 @@ import numpy as np
 
 from prtbake_storage.contract.settings import (
     MEDIUM_PATHS,
-    BakeSettings,
     FitLightSettings,
     ValidateSettings,
 )
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.presets import PartCompression
+from prtbake_workers.planning.presets import PartCompression, PlannedBake
 
 RAYS_PER_SECOND = 5.0e6
 FLOPS_PER_SECOND = 4.0e10
@@ -37,6 +36,9 @@ SCATTERED_PATHS_PER_SECOND = 5.0e4
 CHILD_START_S = 1.5
 ORIENTED_SECONDS, ORIENTED_BYTES = 8.0, 300_000_000
 """Of factorising one anisotropic BRDF; an isotropic one takes a fraction of a second."""
+PROBE_SECONDS, PROBE_BYTES = 3.0, 250_000_000
+"""Of trying up to 642 centres on a few vertices; 2562 take some 5 s more, and no more memory than
+solving for them does."""
 TILE_SECONDS = 8.0
 """A tile is the unit of resumption: long against its start, short against a human's patience."""
 TILE_BYTES = 400_000_000
@@ -57,7 +59,7 @@ class PartCost:
     compress_memory_bytes: int
 
 
-def bake_seconds_per_vertex(settings: BakeSettings, *, n_terms: int, shadows: bool) -> float:
+def bake_seconds_per_vertex(settings: PlannedBake, *, n_terms: int, shadows: bool) -> float:
     """Predict the seconds one thread spends on one vertex (half of the directions count)."""
     n_dirs = 3 * settings.cube_resolution**2
     rays = n_dirs * settings.supersample**2 if shadows else 0
@@ -70,7 +72,7 @@ def bake_seconds_per_vertex(settings: BakeSettings, *, n_terms: int, shadows: bo
 
 
 def tile_vertices(
-    settings: BakeSettings, *, n_terms: int, shadows: bool, chunk: int, n_channels: int = 1
+    settings: PlannedBake, *, n_terms: int, shadows: bool, chunk: int, n_channels: int = 1
 ) -> int:
     """Choose vertices a tile: about TILE_SECONDS of work, bounded memory, whole chunks."""
     if settings.tile_vertices is not None:
@@ -82,17 +84,19 @@ def tile_vertices(
     return chunk * max(1, int(wanted // chunk))
 
 
-def plan_memory_bytes(bake: BakeSettings, *, oriented: bool = False) -> int:
+def plan_memory_bytes(bake: PlannedBake, *, oriented: bool = False, probed: bool = False) -> int:
     """Predict the peak memory of planning: basis and projection, without scene and texture.
 
-    ``oriented`` tells that a BRDF is anisotropic, which is factorised before.
+    ``oriented`` tells that a BRDF is anisotropic, which is factorised before; ``probed`` that
+    planning chose directions or centres.
     """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
     solving = 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
-    return CHILD_BYTES + max(solving, ORIENTED_BYTES if oriented else 0)
+    before = max(ORIENTED_BYTES if oriented else 0, PROBE_BYTES if probed else 0)
+    return CHILD_BYTES + max(solving, before)
 
 
-def tile_memory_bytes(bake: BakeSettings, *, n_terms: int, n_verts: int) -> int:
+def tile_memory_bytes(bake: PlannedBake, *, n_terms: int, n_verts: int) -> int:
     """Predict the peak memory of a tile, without the scene: what it reads, makes and packs."""
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
     # basis and projection in float64, in float32, and every thread's share of the latter
@@ -102,7 +106,7 @@ def tile_memory_bytes(bake: BakeSettings, *, n_terms: int, n_verts: int) -> int:
 
 
 def part_cost(
-    bake: BakeSettings,
+    bake: PlannedBake,
     compression: PartCompression,
     *,
     n_verts: int,

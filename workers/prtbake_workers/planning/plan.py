@@ -17,6 +17,7 @@ from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, noise_
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     ORIENTED_SECONDS,
+    PROBE_SECONDS,
     TILE_SECONDS,
     PartCost,
     bounce_seconds,
@@ -31,7 +32,12 @@ from prtbake_workers.planning.cost import (
     validate_seconds,
 )
 from prtbake_workers.planning.decision import Decision
-from prtbake_workers.planning.presets import PartCompression, StageSettings, resolve_compression
+from prtbake_workers.planning.presets import (
+    PartCompression,
+    PlannedBake,
+    StageSettings,
+    resolve_compression,
+)
 from prtbake_workers.transport.dipole import Dipole
 
 DIRECTIONS_A_CENTRE = 2.5
@@ -134,8 +140,10 @@ def check_bandwidth(bake: BakeSettings) -> None:
     SettingsError
         It is more than `MOST_BANDWIDTH` times the default for so many centres.
     """
+    if bake.bandwidth is None or not isinstance(bake.n_centres, int):
+        return
     most = MOST_BANDWIDTH * default_bandwidth(bake.n_centres)
-    if bake.bandwidth is not None and bake.bandwidth > most:
+    if bake.bandwidth > most:
         raise SettingsError(
             f"bandwidth {bake.bandwidth:g} is too large for {bake.n_centres} centres, which leave "
             f"holes between them: at most {most:g}, the default is "
@@ -144,14 +152,19 @@ def check_bandwidth(bake: BakeSettings) -> None:
         )
 
 
-def resolution_notes(bake: BakeSettings) -> list[str]:
+def resolves(cube_resolution: int, n_centres: int) -> bool:
+    """Tell whether the directions are enough to tell the basis functions apart."""
+    return 6 * cube_resolution**2 >= DIRECTIONS_A_CENTRE * n_centres
+
+
+def resolution_notes(bake: PlannedBake) -> list[str]:
     """Say so where the directions are too few to tell the basis functions apart."""
-    n_dirs = 6 * bake.cube_resolution**2
-    if n_dirs >= DIRECTIONS_A_CENTRE * bake.n_centres:
+    if resolves(bake.cube_resolution, bake.n_centres):
         return []
     return [
-        f"{n_dirs} directions do not resolve {bake.n_centres} SRBFs: the projection fits its "
-        f"samples and errs between them; {DIRECTIONS_A_CENTRE:g} directions a centre are the least"
+        f"{6 * bake.cube_resolution**2} directions do not resolve {bake.n_centres} SRBFs: the "
+        "projection fits its samples and errs between them; "
+        f"{DIRECTIONS_A_CENTRE:g} directions a centre are the least"
     ]
 
 
@@ -159,7 +172,7 @@ def plan_bounces(
     scene: Scene,
     part_terms: list[int],
     effects: list[Decision],
-    bake: BakeSettings,
+    bake: PlannedBake,
     media: Mapping[int, Dipole],
 ) -> BouncePlan | None:
     """Cut the coefficients into blocks of about `BLOCK_BYTES`; two at least, unless that is quick.
@@ -241,9 +254,11 @@ def make_plan(
     ``scattering`` the parts of these whose scattering is simulated, ``n_oriented`` how many parts
     have an anisotropic BRDF.
     """
+    bake = settings.planned_bake
     simulated = {part: media[part] for part in scattering}
-    bounces = plan_bounces(scene, part_terms, effects, settings.bake, simulated)
+    bounces = plan_bounces(scene, part_terms, effects, bake, simulated)
     n_channels = 1 if bounces is None else bounces.n_channels
+    probed = any(one.effect == "light_resolution" for one in effects)
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
         start, stop = scene.part_ranges[index]
@@ -253,15 +268,15 @@ def make_plan(
             quality,
             n_verts=stop - start,
             n_terms=n_terms,
-            n_coeffs=settings.bake.n_centres,
+            n_coeffs=bake.n_centres,
             n_channels=n_channels,
             singular_values=spectra[index],
         )
         size = tile_vertices(
-            settings.bake,
+            bake,
             n_terms=n_terms,
             shadows=bool(occluders),
-            chunk=chunk_vertices(n_channels * n_terms, settings.bake.n_centres),
+            chunk=chunk_vertices(n_channels * n_terms, bake.n_centres),
             n_channels=n_channels,
         )
         parts.append(
@@ -274,7 +289,7 @@ def make_plan(
                 compression=compression,
                 tiles=tuple((a, min(a + size, stop)) for a in range(start, stop, size)),
                 cost=part_cost(
-                    settings.bake,
+                    bake,
                     compression,
                     n_verts=stop - start,
                     n_terms=n_terms,
@@ -286,17 +301,20 @@ def make_plan(
         )
     tiles = sum(len(part.tiles) for part in parts)
     seconds = {
-        "plan": CHILD_START_S + 2.0 + n_oriented * ORIENTED_SECONDS,
+        "plan": CHILD_START_S
+        + 2.0
+        + n_oriented * ORIENTED_SECONDS
+        + (PROBE_SECONDS if probed else 0.0),
         # as the report measures it: summed over the tiles, whose threads work side by side
         "bake": tiles * CHILD_START_S
-        + sum(part.cost.bake_seconds for part in parts) / settings.bake.threads,
+        + sum(part.cost.bake_seconds for part in parts) / bake.threads,
         "compress": compress_seconds([part.cost for part in parts]),
         "fit_light": fit_seconds(settings.fit_light),
         "render": 5.0,
         "validate": validate_seconds(
             settings.validation,
             n_terms=max(part_terms),
-            n_dirs=3 * settings.bake.cube_resolution**2,
+            n_dirs=3 * bake.cube_resolution**2,
             baked_bounces=bounces is not None and bounces.max_bounces > 0,
             media=bool(media),
         ),
@@ -311,7 +329,7 @@ def make_plan(
             ),
             times=1 + expected,
             n_channels=n_channels,
-            n_coeffs=settings.bake.n_centres,
+            n_coeffs=bake.n_centres,
             n_blocks=len(bounces.blocks),
         )
         if bounces.max_bounces:
@@ -323,7 +341,7 @@ def make_plan(
                 later_rays=bounces.later_rays,
                 hit_share=decided.evidence["hit_share"],
                 n_channels=n_channels,
-                n_coeffs=settings.bake.n_centres,
+                n_coeffs=bake.n_centres,
                 n_blocks=len(bounces.blocks),
             )
     return Plan(
@@ -336,10 +354,10 @@ def make_plan(
             "asset.h5": sum(part.cost.asset_bytes for part in parts),
         },
         memory_bytes={
-            "plan": plan_memory_bytes(settings.bake, oriented=n_oriented > 0),
+            "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probed=probed),
             "bake": max(
                 tile_memory_bytes(
-                    settings.bake,
+                    bake,
                     n_terms=part.n_terms,
                     n_verts=max(stop - start for start, stop in part.tiles),
                 )
@@ -347,5 +365,5 @@ def make_plan(
             ),
             "compress": compress_memory_bytes([part.cost for part in parts]),
         },
-        notes=(*notes, *resolution_notes(settings.bake)),
+        notes=(*notes, *resolution_notes(bake)),
     )

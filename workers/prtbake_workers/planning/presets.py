@@ -8,14 +8,15 @@ scene; that of interpolating between vertices, which no setting here changes, of
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
+    CentreCount,
     CompressSettings,
     FitLightSettings,
     Quality,
@@ -25,6 +26,13 @@ from prtbake_storage.contract.settings import (
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.planning.view_rank import view_rank
+
+
+class PlannedBake(BakeSettings):
+    """Settings of a bake whose numbers of directions and functions are no longer open."""
+
+    cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
+    n_centres: CentreCount = 642
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,11 @@ class StageSettings:
     def for_bake(cls, bake: BakeSettings) -> "StageSettings":
         """Complete the settings of a lone bake with those of ``medium``, for predictions."""
         return replace(resolve_stages("medium", AssetSettings()), bake=bake)
+
+    @property
+    def planned_bake(self) -> PlannedBake:
+        """The bake's settings; a ValidationError where a number is ``auto``."""
+        return PlannedBake.model_validate(self.bake.model_dump())
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "StageSettings":
@@ -83,6 +96,7 @@ LADDER: dict[Quality, Step] = {
         bake={
             "cube_resolution": 16,
             "n_centres": 162,
+            "projection_tolerance": 0.05,
             "term_energy_lost": 0.05,
             "bounce_rays": 32,
             "max_bounces": 3,
@@ -100,6 +114,7 @@ LADDER: dict[Quality, Step] = {
         bake={
             "cube_resolution": 16,
             "n_centres": 162,
+            "projection_tolerance": 0.03,
             "term_energy_lost": 0.02,
             "bounce_rays": 32,
             "max_bounces": 4,
@@ -117,6 +132,7 @@ LADDER: dict[Quality, Step] = {
         bake={
             "cube_resolution": 32,
             "n_centres": 642,
+            "projection_tolerance": 0.02,
             "term_energy_lost": 0.01,
             "bounce_rays": 64,
             "max_bounces": 6,
@@ -135,6 +151,7 @@ LADDER: dict[Quality, Step] = {
             "cube_resolution": 32,
             "supersample": 2,
             "n_centres": 642,
+            "projection_tolerance": 0.015,
             "term_energy_lost": 0.004,
             "bounce_rays": 128,
             "max_bounces": 8,
@@ -153,6 +170,7 @@ LADDER: dict[Quality, Step] = {
             "cube_resolution": 48,
             "supersample": 2,
             "n_centres": 2562,
+            "projection_tolerance": 0.01,
             "term_energy_lost": 0.002,
             "bounce_rays": 256,
             "max_bounces": 12,

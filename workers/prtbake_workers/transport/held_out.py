@@ -64,7 +64,7 @@ def held_out_energies(
     at = (np.arange(VERTICES) + rng.random()) * (total / VERTICES)
     chosen = np.minimum(np.searchsorted(np.cumsum(areas), at, side="right"), stop - start - 1)
     cube = cube_directions(RESOLUTION)
-    directions = cube.directions @ _random_turn(rng)
+    directions = cube.directions @ random_turn(rng)
     vertices = start + chosen
     received = visible_cosine(
         # where the rays of the bake start, or light would leak in at open edges and creases
@@ -88,7 +88,7 @@ def held_out_energies(
     return total * signal / VERTICES, total * residual / VERTICES
 
 
-def _random_turn(rng: np.random.Generator) -> Float64[F64, "3 3"]:
+def random_turn(rng: np.random.Generator) -> Float64[F64, "3 3"]:
     """Draw a rotation (or reflection: the cube does not mind) uniformly."""
     turn, upper = np.linalg.qr(rng.standard_normal((3, 3)))
     return np.asarray(turn * np.sign(np.diag(upper)))
