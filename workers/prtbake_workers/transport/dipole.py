@@ -20,6 +20,9 @@ from prtbake_workers.transport.diffuse_fresnel import (
 )
 from prtbake_workers.transport.scattering_media import MEASURED_MEDIA
 
+PATCHES_PER_CHUNK = 1 << 14
+"""Patches at a time: a dozen arrays of 128 kB."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dipole:
@@ -170,20 +173,30 @@ class Dipole:
             Covariance S of the patch's points: ``R_d + (tr S g + v . S v h) / 2`` with the point at
             v, where the gradient of R_d is ``g v`` and that of g is ``h v``.
         """
-        squared = np.einsum("si,si->s", away, away)
-        trace = 0.5 * np.einsum("sii->s", spread)
-        across = 0.5 * np.einsum("si,sij,sj->s", away, spread, away)
+        total = np.empty((self.n_channels, len(away)))
+        for start in range(0, len(away), PATCHES_PER_CHUNK):
+            part = slice(start, start + PATCHES_PER_CHUNK)
+            total[:, part] = self._profile_over(away[part], spread[part])
+        return total
+
+    def _profile_over(self, away: F64, spread: F64) -> Float64[F64, "channels samples"]:
+        x, y, z = away.T
+        xx, yy, zz = x * x, y * y, z * z
+        squared = xx + yy + zz
+        trace = 0.5 * (spread[:, 0, 0] + spread[:, 1, 1] + spread[:, 2, 2])
+        across = 0.5 * (xx * spread[:, 0, 0] + yy * spread[:, 1, 1] + zz * spread[:, 2, 2])
+        across += x * y * spread[:, 0, 1] + y * z * spread[:, 1, 2] + z * x * spread[:, 2, 0]
         total = np.zeros((self.n_channels, len(away)))
         for channel, decay in enumerate(self.decay):
-            for z in self.depths[channel]:
-                inverse = 1.0 / np.sqrt(squared + z * z)
+            for depth in self.depths[channel]:
+                inverse = 1.0 / np.sqrt(squared + depth * depth)
                 fall = decay / inverse
                 first = 3.0 + fall * (3.0 + fall)
                 second = 15.0 + fall * (15.0 + fall * (6.0 + fall))
                 series = (1.0 + fall) - trace * inverse**2 * first
                 # squares of lengths apart: their product may leave float64
                 series += (across * inverse**2) * inverse**2 * second
-                total[channel] += series * np.exp(-fall) * (z * inverse) * inverse * inverse
+                total[channel] += series * np.exp(-fall) * (depth * inverse) * inverse * inverse
         return np.asarray(total * (self.albedo / (4.0 * np.pi))[:, None])
 
     @cached_property

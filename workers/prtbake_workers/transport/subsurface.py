@@ -171,6 +171,20 @@ class SubsurfaceOperator:
         negligible = (most <= self.dropped_share * total[:, None]).all(axis=0)
         return float(distance[np.argmax(negligible)]) if negligible.any() else np.inf
 
+    @cached_property
+    def _cut_from(self) -> Float64[F64, " nodes"]:
+        """Squared distance from which a node is too far away to count."""
+        return np.asarray((self.cut + self.tree.radii) ** 2)
+
+    @cached_property
+    def _small_from(self) -> Float64[F64, " nodes"]:
+        """Squared distance from which a node may stand for its members."""
+        # a folded or scattered cluster is wide even where its area is small
+        size = np.maximum(self.tree.areas, np.pi * self.tree.radii**2)
+        depth = float(self.dipole.mean_free_path.min())
+        with np.errstate(divide="ignore"):
+            return np.asarray(size / self.max_solid_angle - depth**2)
+
     def sources(self, transfer: Float32[F32, "verts coeffs"]) -> Float32[F32, "sources coeffs"]:
         """Put the area-weighted means over the clusters below the vertices' own transfer."""
         n_verts, n_coeffs = transfer.shape
@@ -209,16 +223,20 @@ class SubsurfaceOperator:
         mean = self.dipole.profile_over(away, self.tree.spreads[far_nodes])
         corners = self.scene.faces[self.tree.triangles[near_nodes]]
         near = entering * hat_moments(self.dipole, points[near_rows], self.scene.positions[corners])
-        # one pattern for all channels; rows sorted once, a column may come twice
-        row = np.concatenate([far_rows, np.repeat(near_rows, 3)])
+        # triangles share corners: one entry each, summed before it is rounded
+        at, place = np.unique(near_rows[:, None] * n_verts + corners, return_inverse=True)
+        summed = [np.bincount(place.ravel(), own.ravel(), minlength=len(at)) for own in near]
+        near_row, near_column = np.divmod(at, max(n_verts, 1))
+        # one pattern for all channels
+        row = np.concatenate([far_rows, near_row])
         order = np.argsort(row, kind="stable")
-        columns = np.concatenate([n_verts + far_nodes, corners.ravel()])[order].astype(np.int32)
+        columns = np.concatenate([n_verts + far_nodes, near_column])[order]
         indptr = np.searchsorted(row[order], np.arange(n_rows + 1)).astype(np.int32)
         matrices = tuple(
             csr_array(
                 (
-                    np.concatenate([mean[c] * areas, near[c].ravel()])[order].astype(np.float32),
-                    columns,
+                    np.concatenate([mean[c] * areas, summed[c]])[order].astype(np.float32),
+                    columns.astype(np.int32),
                     indptr,
                 ),
                 shape=shape,
@@ -320,17 +338,13 @@ class SubsurfaceOperator:
         black = not self.dipole.total_reflectance.any()
         n_start = 0 if black or not tree.n_nodes else len(points)
         row, node = np.arange(n_start), np.zeros(n_start, np.int64)
-        depth = float(self.dipole.mean_free_path.min())
         empty = np.empty(0, np.int64)
         far: list[tuple[I64, I64]] = [(empty, empty)]
         near: list[tuple[I64, I64]] = [(empty, empty)]
         while len(row):
-            radius = tree.radii[node]
-            distance = np.linalg.norm(points[row] - tree.centres[node], axis=1)
-            counts = distance - radius < self.cut
-            # a folded or scattered cluster is wide even where its area is small
-            size = np.maximum(tree.areas[node], np.pi * radius**2)
-            small = size <= self.max_solid_angle * (distance**2 + depth**2)
+            away = points[row] - tree.centres[node]
+            squared = away[:, 0] ** 2 + away[:, 1] ** 2 + away[:, 2] ** 2
+            counts, small = squared < self._cut_from[node], squared >= self._small_from[node]
             single = tree.triangles[node] >= 0
             is_far, is_near = counts & small, counts & ~small & single
             far.append((row[is_far], node[is_far]))
