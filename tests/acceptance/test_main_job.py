@@ -23,8 +23,8 @@ FILES = {
     "preview-front.exr", "validation-front.png", "report.json", "report.html",
 }  # fmt: skip
 STAGES = [
-    "plan", "bake", "bounces", "add_bounces", "join", "compress", "quantise", "fit_light", "render",
-    "validate", "report",
+    "plan", "bake", "scattering", "bounces", "add_bounces", "join", "compress", "quantise",
+    "fit_light", "render", "validate", "report",
 ]  # fmt: skip
 QUADRANTS = np.array([[[220, 40, 40], [40, 200, 40]], [[40, 60, 220], [230, 210, 40]]], np.uint8)
 

@@ -34,7 +34,7 @@ one forced the other way.
 How to read the tables:
 
 - **seconds** are CPU seconds of all tasks of a bake in one process, without starting workers' children:
-  `plan`, `bake`, `bounces`, `add_bounces`, `join`. Only ratios within a scene mean anything.
+  `plan`, `bake`, `scattering`, `bounces`, `add_bounces`, `join`. Only ratios within a scene mean anything.
 - **error decided**, **on** and **off** are squared-error ratios in radiance norm, weighted by area, of the
   part that errs most, against the bake with everything forced on. Terms of a BRDF are orthonormal and their
   coefficients whitened, so that the norm is a sum of squares; where only one of two bakes has a channel for

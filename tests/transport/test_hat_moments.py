@@ -131,6 +131,26 @@ def test_both_ways_agree_where_they_meet(rng, monkeypatch):
     assert np.abs(plain - edges).max() > 1e-3
 
 
+def test_few_nodes_serve_short_edges(rng, monkeypatch):
+    """Six nodes where nothing changes much along an edge, twelve everywhere else."""
+    dipole = Dipole.of_material("skin1", mm_per_unit=2.0)
+    corners = rng.normal(size=(500, 3, 3))
+    points = corners.mean(axis=1) + 0.3 * rng.normal(size=(500, 3))
+    monkeypatch.setattr(module, "PLAIN_FROM", np.inf)
+    mixed = hat_moments(dipole, points, corners)
+    monkeypatch.setattr(module, "FEW_NODES", 40)
+    monkeypatch.setattr(module, "N_NODES", 40)
+    exact = hat_moments(dipole, points, corners)
+    # 12 nodes leave 1e-6 of long edges here
+    np.testing.assert_allclose(mixed, exact, atol=3e-6)
+    # negative twin: six nodes for all edges
+    monkeypatch.setattr(module, "FEW_NODES", 6)
+    for name in ("SHORT_SPAN", "SHORT_TURN", "SHORT_FALL"):
+        monkeypatch.setattr(module, name, np.inf)
+    few = hat_moments(dipole, points, corners)
+    assert np.abs(few - exact).max() > 1e-5
+
+
 def test_slivers_keep_their_sum():
     """Rounding grows as length over height: hats stay inside, the sum stays exact."""
     dipole = Dipole(np.array([3.0]), np.array([0.1]), 1.3)

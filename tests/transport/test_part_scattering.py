@@ -13,7 +13,8 @@ from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.bounces import bounce_block
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.hat_moments import hat_moments
-from prtbake_workers.transport.part_scattering import PartScattering
+from prtbake_workers.transport.part_scattering import PartScattering, build_rows
+from prtbake_workers.transport.subsurface import SubsurfaceOperator
 from support.bounce_scenes import ball, bowl, opaque
 
 N_RAYS, SEED, N_COEFFS = 64, 3, 12
@@ -141,9 +142,36 @@ def test_rows_in_files_are_the_rows_in_memory(surface, scattering, direct, tmp_p
     assert not any(rows.values.flags.writeable for rows in spilled._rows)
     assert all(rows.values.flags.writeable for rows in scattering._rows)
     assert list(tmp_path.iterdir()) == []
+    for part in (spilled, scattering):
+        for rows, matrices in zip(part._rows, part._matrices, strict=True):
+            assert all(np.shares_memory(one.data, rows.values) for one in matrices)
+            assert all(np.shares_memory(one.indices, rows.columns) for one in matrices)
     arriving = np.repeat(direct[0][:, None], 3, axis=1)
     assert spilled.apply(arriving).tobytes() == scattering.apply(arriving).tobytes()
     assert spilled.report == scattering.report
+
+
+def test_rows_that_were_built_before_serve_as_well(surface, scattering, direct):
+    scene, steps = surface.scene.part(0), []
+    operator = SubsurfaceOperator(scene, MEDIUM)
+    rows = [
+        build_rows(operator, start, stop, progress=lambda done, all_: steps.append((done, all_)))
+        for start, stop in ((0, 60), (60, scene.n_vertices))
+    ]
+    assert steps == [(60, 60), (102, 102)]
+    given = PartScattering(scene, MEDIUM, rows=iter(rows))
+    arriving = np.repeat(direct[0][:, None], 3, axis=1)
+    largest = np.abs(arriving).max()
+    # the last bit of sums of float32
+    np.testing.assert_allclose(
+        given.apply(arriving), scattering.apply(arriving), atol=1e-6 * largest
+    )
+    assert given.report == scattering.report
+    with pytest.raises(SettingsError, match="rows of 60 vertices for 162"):
+        PartScattering(scene, MEDIUM, rows=rows[:1])
+    grey = Dipole(np.array([5.0]), np.array([0.5]), 1.3)
+    with pytest.raises(SettingsError, match="0 to 60 are those of another operator"):
+        PartScattering(scene, grey, rows=rows)
 
 
 def test_one_channel_of_a_medium_serves_three(surface, direct):

@@ -68,9 +68,10 @@ class BakeSettings(Wire):
     squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
     forced on, fewer rays are taken where their noise is predicted or measured to stay below half of
     the tolerance.  Parts with a medium whose scattering moves no more than
-    ``subsurface_tolerance`` of their light reflect it where it falls.  Where ``cube_resolution`` or
-    ``n_centres`` is ``auto`` planning samples transport at some vertices and takes the fewest that
-    it predicts to leave no more than ``projection_tolerance`` of it, of at most 48 and 2562.
+    ``subsurface_tolerance`` of their light reflect it where it falls; in others it is moved with an
+    error of about a tenth of that.  Where ``cube_resolution`` or ``n_centres`` is ``auto`` planning
+    samples transport at some vertices and takes the fewest that it predicts to leave no more than
+    ``projection_tolerance`` of it, of at most 48 and 2562.
     """
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] | Literal["auto"] = 32

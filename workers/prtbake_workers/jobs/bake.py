@@ -1,4 +1,4 @@
-"""Job kind ``bake``: plan, transport tiles, bounces, join."""
+"""Job kind ``bake``: plan, transport tiles, rows of scattering, bounces, join."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
-from prtbake_workers.jobs import bounce, plan
+from prtbake_workers.jobs import bounce, plan, scattering
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
     centres_and_bandwidth,
@@ -34,7 +34,7 @@ _MODULE = "prtbake_workers.jobs.bake"
 def stages(
     request: dict[str, Any], context: dict[str, Any], settings: StageSettings, quality: Quality
 ) -> list[Stage]:
-    """Plan the scene, bake its tiles, bounce their light, join them."""
+    """Plan the scene, bake its tiles, scatter and bounce their light, join them."""
     threads = settings.bake.threads
     args = plan.arguments(request, context, settings, quality)
 
@@ -66,6 +66,7 @@ def stages(
     return [
         Stage("plan", "scene", 3.0, lambda _: [plan.task(args)]),
         Stage("bake", "tiles", 40.0, tiles),
+        scattering.stage(),
         *bounce.stages(),
         Stage("join", "file", 2.0, join),
     ]

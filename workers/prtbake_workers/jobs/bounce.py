@@ -14,9 +14,9 @@ from prtbake_storage.hdf5.transfer import write_transfer_tile
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.jobs.scattering import grouped_rows, part_scattering
 from prtbake_workers.jobs.scene_file import read_scene
 from prtbake_workers.transport.bounces import bounce_block
-from prtbake_workers.transport.part_scattering import PartScattering
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.transport.surface import OpaqueSurface
 
@@ -36,6 +36,7 @@ def stages() -> list[Stage]:
         args = {
             "scene": planned["scene"],
             "tiles": grouped_tiles(results, "bake"),
+            "rows": grouped_rows(results),
             "n_rays": bounces["n_rays"],
             "later_rays": bounces["later_rays"],
             "noise_tolerance": bounces["noise_tolerance"],
@@ -108,12 +109,7 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     ]
     factorisations, albedo = planned.reflection()
     seed = planned.header["provenance"]["seed"]
-    scattering = [
-        None
-        if dipole is None
-        else PartScattering(scene.part(part), dipole, scratch=context.scratch)
-        for part, dipole in enumerate(map(planned.scattering, range(len(direct))))
-    ]
+    scattering = part_scattering(planned, args["rows"], context.store, context.scratch)
     block = bounce_block(
         OpaqueSurface(scene, Accelerator(scene.positions, scene.traced_faces, robust=True)),
         direct,
@@ -262,7 +258,7 @@ def scattering_notes(results: Results, plan: dict[str, Any]) -> list[str]:
     """Say of each part that scatters light inside how far, and by how many rows."""
     found = []
     for part in plan["bounces"]["scattering"] if plan["bounces"] else ():
-        # every block builds the same rows
+        # every block has the same rows
         report = results["bounces"][0]["scattering"][part]
         paths, resolution, albedo = (
             ", ".join(f"{value:.3g}" for value in report[name])

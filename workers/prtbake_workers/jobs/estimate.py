@@ -37,11 +37,12 @@ from prtbake_workers.planning.presets import (
     resolve_compression,
     resolve_stages,
 )
+from prtbake_workers.planning.scattering_cost import row_runs
 
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
-BAKE_STAGES = ("plan", "bake", "bounces")
+BAKE_STAGES = ("plan", "bake", "scattering", "bounces")
 BAKE_FILES = ("transfer.h5",)
 """What a lone bake runs and leaves, of the plan of a whole asset."""
 
@@ -105,6 +106,11 @@ def _scene(
     files = BAKE_FILES if alone else tuple(plan.artefact_bytes)
     tasks = {
         "bake": sum(len(part.tiles) for part in plan.parts),
+        "scattering": sum(
+            len(row_runs(part.vertex_range[1] - part.vertex_range[0]))
+            for index, part in enumerate(plan.parts)
+            if plan.bounces is not None and index in plan.bounces.scattering
+        ),
         "bounces": 0 if plan.bounces is None else len(plan.bounces.blocks),
         "compress": len(plan.parts),
         "validate": len(settings.validation.cameras),

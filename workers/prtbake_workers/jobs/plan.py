@@ -177,7 +177,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             *report.get("warnings", []),
         ],
         media={part: own for part, own in enumerate(media) if own is not None},
-        scattering=scattering.parts,
+        scattering=dict(zip(scattering.parts, scattering.limits, strict=True)),
         n_oriented=sum(own is not None for own in grain),
     )
     header = _header(args, settings.bake, parts, plan, scattering.parts)

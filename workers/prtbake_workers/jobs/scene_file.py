@@ -31,7 +31,7 @@ class PlannedScene:
 
     ``header`` holds ``bake`` (settings), ``parts`` (name, role, sides, material, medium,
     occluders),
-    ``bounces`` (their channels, the parts that scatter; None where neither is simulated),
+    ``bounces`` (their channels, the parts that scatter and how; None where neither is simulated),
     ``provenance``.
     """
 
@@ -63,6 +63,11 @@ class PlannedScene:
         if part not in self.header["bounces"]["scattering"]:
             return None
         return make_dipole(self.header["parts"][part]["subsurface"])
+
+    def max_solid_angle(self, part: int) -> float:
+        """Tell how large the clusters of a part that scatters may look."""
+        bounces = self.header["bounces"]
+        return float(bounces["solid_angles"][bounces["scattering"].index(part)])
 
     def occluders(self, part: int) -> Accelerator | None:
         """Make the accelerator of the triangles that may block light on its way to a part."""

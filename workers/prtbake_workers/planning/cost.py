@@ -27,10 +27,6 @@ TRANSFER_SAMPLES_PER_SECOND = 1.5e8
 PATHS_PER_SECOND = 4.0e5
 """With all bounces, where two in three leave an open scene at once; a closed room takes four times
 as long."""
-SCATTERING_ROWS_PER_SECOND = 2.0e3
-"""Rows of the subsurface operator built, whatever their channels."""
-SCATTERING_ENTRIES = 350
-"""Of a row: clusters, and corners of triangles."""
 SCATTERED_PATHS_PER_SECOND = 5.0e4
 """Paths that begin on a medium, with the lines that look for where light entered."""
 CHILD_START_S = 1.5
@@ -178,17 +174,6 @@ def bounce_seconds(
         recast = 0.0
     traced = n_blocks * (CHILD_START_S + cast + recast)
     return traced + n_channels * (first + max(bounces - 1, 0) * later)
-
-
-def scattering_seconds(
-    n_verts: int, *, times: int, n_channels: int, n_coeffs: int, n_blocks: int
-) -> float:
-    """Predict the seconds of scattering inside parts: rows once a block, products every time."""
-    if not n_verts:
-        return 0.0
-    built = n_blocks * (CHILD_START_S + n_verts / SCATTERING_ROWS_PER_SECOND)
-    flops = 2.0 * SCATTERING_ENTRIES * n_verts * n_channels * n_coeffs
-    return built + times * flops / SPARSE_FLOPS_PER_SECOND
 
 
 def compress_seconds(costs: Sequence[PartCost]) -> float:

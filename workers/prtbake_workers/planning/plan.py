@@ -13,7 +13,9 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
 from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, noise_allowed
+from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
     ORIENTED_SECONDS,
@@ -26,7 +28,6 @@ from prtbake_workers.planning.cost import (
     fit_seconds,
     part_cost,
     plan_memory_bytes,
-    scattering_seconds,
     tile_memory_bytes,
     tile_vertices,
     validate_seconds,
@@ -37,6 +38,12 @@ from prtbake_workers.planning.presets import (
     PlannedBake,
     StageSettings,
     resolve_compression,
+)
+from prtbake_workers.planning.scattering_cost import (
+    product_seconds,
+    rows_memory_bytes,
+    rows_seconds,
+    scattering_memory_bytes,
 )
 from prtbake_workers.transport.dipole import Dipole
 
@@ -76,7 +83,8 @@ class BouncePlan:
     has bounces of its own, as ``coloured`` says, or a medium has colours.  ``n_rays`` are those of
     a vertex, part by part, in the first bounce and ``later_rays`` in those after it, at most: fewer
     where their noise is measured to be below ``noise_tolerance``.  Parts in ``scattering`` scatter
-    light inside; ``max_bounces`` is 0 where that is all there is.
+    light inside, their clusters within ``solid_angles`` steradians each; ``max_bounces`` is 0 where
+    that is all there is.
     """
 
     n_channels: int
@@ -87,6 +95,7 @@ class BouncePlan:
     max_bounces: int
     tolerance: float
     scattering: tuple[int, ...]
+    solid_angles: tuple[float, ...]
     blocks: tuple[tuple[int, int], ...]
 
 
@@ -174,10 +183,11 @@ def plan_bounces(
     effects: list[Decision],
     bake: PlannedBake,
     media: Mapping[int, Dipole],
+    limits: Mapping[int, ClusterLimit],
 ) -> BouncePlan | None:
     """Cut the coefficients into blocks of about `BLOCK_BYTES`; two at least, unless that is quick.
 
-    ``media`` are those of the parts that scatter.
+    ``media`` and ``limits`` are those of the parts that scatter.
     """
     by_name = {decision.effect: decision for decision in effects}
     bounced = by_name["interreflection"].taken
@@ -215,7 +225,8 @@ def plan_bounces(
         noise_tolerance=noise_allowed(by_name["interreflection"], bake),
         max_bounces=bake.max_bounces if bounced else 0,
         tolerance=bake.bounce_tolerance,
-        scattering=tuple(sorted(media)),
+        scattering=tuple(sorted(limits)),
+        solid_angles=tuple(limits[part].solid_angle for part in sorted(limits)),
         blocks=tuple(pairwise(edges)),
     )
 
@@ -243,7 +254,7 @@ def make_plan(
     spectra: Sequence[Float64[F64, " _"]],
     notes: list[str],
     media: Mapping[int, Dipole] = MappingProxyType({}),
-    scattering: Sequence[int] = (),
+    scattering: Mapping[int, ClusterLimit] = MappingProxyType({}),
     n_oriented: int = 0,
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
@@ -251,12 +262,12 @@ def make_plan(
     ``names`` and ``roles`` are those of the scene's parts.
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
     ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
-    ``scattering`` the parts of these whose scattering is simulated, ``n_oriented`` how many parts
-    have an anisotropic BRDF.
+    ``scattering`` the parts of these whose scattering is simulated with what its clusters are
+    allowed, ``n_oriented`` how many parts have an anisotropic BRDF.
     """
     bake = settings.planned_bake
     simulated = {part: media[part] for part in scattering}
-    bounces = plan_bounces(scene, part_terms, effects, bake, simulated)
+    bounces = plan_bounces(scene, part_terms, effects, bake, simulated, scattering)
     n_channels = 1 if bounces is None else bounces.n_channels
     probed = any(one.effect == "light_resolution" for one in effects)
     parts = []
@@ -319,31 +330,31 @@ def make_plan(
             media=bool(media),
         ),
     }
+    memory = {
+        "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probed=probed),
+        "bake": max(
+            tile_memory_bytes(
+                bake,
+                n_terms=part.n_terms,
+                n_verts=max(stop - start for start, stop in part.tiles),
+            )
+            for part in parts
+        ),
+        "compress": compress_memory_bytes([part.cost for part in parts]),
+    }
     if bounces is not None:
         (decided,) = (one for one in effects if one.effect == "interreflection")
-        expected = expected_bounces(decided, bounces)
-        seconds["bounces"] = scattering_seconds(
-            sum(
-                parts[part].vertex_range[1] - parts[part].vertex_range[0]
-                for part in bounces.scattering
-            ),
-            times=1 + expected,
-            n_channels=n_channels,
+        added_seconds, added_memory = _bounce_costs(
+            scene,
+            part_terms,
+            bounces,
+            decided,
+            scattering,
+            medium_channels={part: own.n_channels for part, own in media.items()},
             n_coeffs=bake.n_centres,
-            n_blocks=len(bounces.blocks),
         )
-        if bounces.max_bounces:
-            seconds["bounces"] += bounce_seconds(
-                scene,
-                part_terms,
-                bounces=expected,
-                n_rays=bounces.n_rays,
-                later_rays=bounces.later_rays,
-                hit_share=decided.evidence["hit_share"],
-                n_channels=n_channels,
-                n_coeffs=bake.n_centres,
-                n_blocks=len(bounces.blocks),
-            )
+        seconds |= added_seconds
+        memory |= added_memory
     return Plan(
         parts=tuple(parts),
         effects=tuple(effects),
@@ -353,17 +364,66 @@ def make_plan(
             "transfer.h5": sum(part.cost.transfer_bytes for part in parts),
             "asset.h5": sum(part.cost.asset_bytes for part in parts),
         },
-        memory_bytes={
-            "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probed=probed),
-            "bake": max(
-                tile_memory_bytes(
-                    bake,
-                    n_terms=part.n_terms,
-                    n_verts=max(stop - start for start, stop in part.tiles),
-                )
-                for part in parts
-            ),
-            "compress": compress_memory_bytes([part.cost for part in parts]),
-        },
+        memory_bytes=memory,
         notes=(*notes, *resolution_notes(bake)),
     )
+
+
+def _bounce_costs(
+    scene: Scene,
+    part_terms: Sequence[int],
+    bounces: BouncePlan,
+    decided: Decision,
+    scattering: Mapping[int, ClusterLimit],
+    *,
+    medium_channels: Mapping[int, int],
+    n_coeffs: int,
+) -> tuple[dict[str, float], dict[str, int]]:
+    """Predict seconds and memory of the stages of bounces and scattering.
+
+    ``decided`` is the decision on interreflection, with what its probe found.
+    """
+    n_verts = {part: stop - start for part, (start, stop) in enumerate(scene.part_ranges)}
+    n_blocks = len(bounces.blocks)
+    n_columns = max(stop - start for start, stop in bounces.blocks)
+    expected = expected_bounces(decided, bounces)
+    seconds = {
+        "bounces": product_seconds(
+            n_verts,
+            scattering,
+            times=1 + expected,
+            n_channels=bounces.n_channels,
+            n_coeffs=n_coeffs,
+        )
+    }
+    if bounces.max_bounces:
+        seconds["bounces"] += bounce_seconds(
+            scene,
+            part_terms,
+            bounces=expected,
+            n_rays=bounces.n_rays,
+            later_rays=bounces.later_rays,
+            hit_share=decided.evidence["hit_share"],
+            n_channels=bounces.n_channels,
+            n_coeffs=n_coeffs,
+            n_blocks=n_blocks,
+        )
+    else:
+        seconds["bounces"] += n_blocks * CHILD_START_S
+    memory = {
+        "bounces": bounce_memory_bytes(
+            tuple(n_verts.values()),
+            part_terms,
+            n_rays=bounces.n_rays if bounces.max_bounces else [0] * len(part_terms),
+            hit_share=decided.evidence["hit_share"],
+            n_channels=bounces.n_channels,
+            n_columns=n_columns,
+            scattering_bytes=scattering_memory_bytes(
+                n_verts, scattering, medium_channels, n_columns=n_columns
+            ),
+        )
+    }
+    if scattering:
+        seconds["scattering"] = rows_seconds(n_verts, scattering)
+        memory["scattering"] = rows_memory_bytes(n_verts, scattering, medium_channels)
+    return seconds, memory

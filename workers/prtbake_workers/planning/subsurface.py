@@ -7,16 +7,18 @@ ratio ``|S T - F R T|^2 / |S T|^2`` that this leaves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from prtbake_storage.contract.settings import BakeSettings, Switch
-from prtbake_workers.arrays import F64, Float32, Float64, Int64
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int64
 from prtbake_workers.basis.sh import eval_sh
 from prtbake_workers.geometry.mesh import face_area_vectors
 from prtbake_workers.geometry.ray_offset import offset_origins
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.cluster_limit import ClusterLimit, choose_solid_angle
 from prtbake_workers.planning.decision import Decision, settle
 from prtbake_workers.planning.interreflection import PROBE_MARGIN
 from prtbake_workers.planning.probe import draw_by_area
@@ -24,6 +26,7 @@ from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted
 from prtbake_workers.transport.subsurface import SubsurfaceOperator
 from prtbake_workers.transport.surface import OpaqueSurface
+from prtbake_workers.transport.triangle_octree import TriangleOctree, build_triangle_octree
 
 EFFECT = "subsurface_scattering"
 
@@ -57,10 +60,27 @@ class ScatteringProbe:
 
 @dataclass(frozen=True)
 class ScatteringChoice:
-    """The decision, and the parts that it is taken for."""
+    """The decision, the parts that it is taken for, and how large clusters may look in each."""
 
     decision: Decision
     parts: tuple[int, ...]
+    limits: tuple[ClusterLimit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """A part and its medium, two estimates of its vertices' transfer, and points of its surface."""
+
+    scene: Scene
+    dipole: Dipole
+    tree: TriangleOctree
+    halves: tuple[F32, F32]
+    corners: I32
+    weights: F64
+
+    @property
+    def points(self) -> F64:
+        return np.asarray(np.einsum("pc,pci->pi", self.weights, self.scene.positions[self.corners]))
 
 
 NOTHING_SCATTERS = Decision(
@@ -72,16 +92,26 @@ def probe_scattering(
     surface: OpaqueSurface, part: int, dipole: Dipole, *, seed: int
 ) -> ScatteringProbe:
     """Scatter the light of a few rays a vertex, and hold it against the light itself."""
+    return _share_left_out(_draw(surface, part, dipole, seed))
+
+
+def _draw(surface: OpaqueSurface, part: int, dipole: Dipole, seed: int) -> _Drawn:
     rng = np.random.default_rng(seed)
-    scene = surface.scene
-    own = scene.part(part)
-    operator = SubsurfaceOperator(own, dipole)
-    transfers = [_transfer(surface, scene.part_ranges[part], rng) for _ in range(2)]
+    span = surface.scene.part_ranges[part]
+    own = surface.scene.part(part)
+    halves = _transfer(surface, span, rng), _transfer(surface, span, rng)
     areas = np.linalg.norm(face_area_vectors(own.positions, own.faces), axis=1)
     triangles = draw_by_area(areas, POINTS, rng)
-    corners, weights = own.faces[triangles], _uniform_barycentrics(rng, POINTS)
-    points = np.einsum("pc,pci->pi", weights, own.positions[corners])
-    block = operator.block_at(points)
+    weights = _uniform_barycentrics(rng, POINTS)
+    tree = build_triangle_octree(own.positions, own.faces)
+    return _Drawn(own, dipole, tree, halves, own.faces[triangles], weights)
+
+
+def _share_left_out(drawn: _Drawn) -> ScatteringProbe:
+    own, dipole, transfers = drawn.scene, drawn.dipole, drawn.halves
+    corners, weights = drawn.corners, drawn.weights
+    operator = SubsurfaceOperator(own, dipole, tree=drawn.tree)
+    block = operator.block_at(drawn.points)
     total = wrong = 0.0
     albedo = dipole.diffuse_albedo
     sources = [operator.sources(one) for one in transfers]
@@ -150,16 +180,29 @@ def decide_subsurface(
     seed
         Of the probes.
     """
-    probes = {
-        part: probe_scattering(surface, part, medium, seed=seed + part)
+    drawn = {
+        part: _draw(surface, part, medium, seed + part)
         for part, medium in enumerate(media)
         if medium is not None
     }
+    probes = {part: _share_left_out(own) for part, own in drawn.items()}
     if not probes:
-        return ScatteringChoice(NOTHING_SCATTERS, ())
+        return ScatteringChoice(NOTHING_SCATTERS, (), ())
     chosen = {
         part: settle(switch, PROBE_MARGIN * probe.share > bake.subsurface_tolerance)[0]
         for part, probe in probes.items()
+    }
+    limits = {
+        part: choose_solid_angle(
+            own.scene,
+            own.dipole,
+            0.5 * (own.halves[0] + own.halves[1]),
+            own.points,
+            tolerance=bake.subsurface_tolerance,
+            tree=own.tree,
+        )
+        for part, own in drawn.items()
+        if chosen[part]
     }
     largest = max(probe.share for probe in probes.values())
     reason = (
@@ -173,6 +216,7 @@ def decide_subsurface(
     }
     for name in ("share", "mean_free_path", "resolution", "albedo"):
         evidence[name] = [getattr(probe, name) for probe in probes.values()]
+    evidence["clusters"] = [asdict(limit) for limit in limits.values()]
     decision = Decision(
         effect=EFFECT,
         taken=any(chosen.values()),
@@ -181,4 +225,4 @@ def decide_subsurface(
         evidence=evidence,
         predicted_error_otherwise=largest,
     )
-    return ScatteringChoice(decision, tuple(part for part, taken in chosen.items() if taken))
+    return ScatteringChoice(decision, tuple(limits), tuple(limits.values()))

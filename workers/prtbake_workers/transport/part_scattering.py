@@ -4,11 +4,12 @@ To build a row takes as long as to multiply it with hundreds of coefficients, an
 for all of them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from os import SEEK_END
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -18,6 +19,7 @@ from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.subsurface import (
+    MAX_SOLID_ANGLE,
     VERTICES_PER_CHUNK,
     SubsurfaceOperator,
     SubsurfaceReport,
@@ -35,13 +37,75 @@ long as a thousand rows."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Consecutive rows: one pattern, values a channel each."""
+class ScatteringRows:
+    """Consecutive rows of S: one pattern, values a channel each.
+
+    Attributes
+    ----------
+    start
+        Vertex of the first.
+    indptr, columns, values
+        As `SubsurfaceBlock` has them in its matrices.
+    n_clusters, n_triangles
+        As `SubsurfaceBlock` counts them.
+    """
 
     start: int
     indptr: Int32[I32, " rows_and_one"]
     columns: Int32[I32, " entries"]
     values: Float32[F32, "channels entries"]
+    n_clusters: int
+    n_triangles: int
+
+    @property
+    def stop(self) -> int:
+        """Vertex after the last."""
+        return self.start + len(self.indptr) - 1
+
+    @property
+    def n_bytes(self) -> int:
+        """Of columns and values."""
+        return self.columns.nbytes + self.values.nbytes
+
+
+def build_rows(
+    operator: SubsurfaceOperator,
+    start: int,
+    stop: int,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> ScatteringRows:
+    """Build the rows of vertices start..stop.
+
+    Parameters
+    ----------
+    operator
+        Of the part alone.
+    start, stop
+        Numbers within the part.
+    progress
+        Called with vertices done and vertices to do.
+    """
+    found = []
+    for first in range(start, stop, VERTICES_PER_CHUNK):
+        last = min(first + VERTICES_PER_CHUNK, stop)
+        block = operator.block(np.arange(first, last))
+        pattern = block.matrices[0]
+        values = np.stack([matrix.data for matrix in block.matrices])
+        counts = block.n_clusters, block.n_triangles
+        found.append(ScatteringRows(first, pattern.indptr, pattern.indices, values, *counts))
+        if progress is not None:
+            progress(last - start, stop - start)
+    ends = np.cumsum([0, *(len(one.columns) for one in found)])
+    starts = [one.indptr[:-1] + end for one, end in zip(found, ends[:-1], strict=True)]
+    return ScatteringRows(
+        start,
+        np.concatenate([*starts, ends[-1:]]).astype(np.int32),
+        np.concatenate([one.columns for one in found]),
+        np.concatenate([one.values for one in found], axis=1),
+        sum(one.n_clusters for one in found),
+        sum(one.n_triangles for one in found),
+    )
 
 
 class PartScattering:
@@ -53,34 +117,65 @@ class PartScattering:
         The part alone (`Scene.part`): light passes inside one body.
     dipole
         Of its medium, in units of the scene.
+    rows
+        All of them in any runs, from an operator of the same arguments; None to build them.
+    max_solid_angle
+        As `SubsurfaceOperator` takes it.
     scratch
-        Folder for rows beyond `KEPT_BYTES`, 5 to 10 kB a vertex with three channels; they stay
+        Folder for rows beyond `KEPT_BYTES`, 3 to 10 kB a vertex with three channels; they stay
         in memory where it is None.
+
+    Raises
+    ------
+    SettingsError
+        Rows of another number of vertices, channels or clusters.
     """
 
-    def __init__(self, scene: Scene, dipole: Dipole, *, scratch: Path | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        dipole: Dipole,
+        *,
+        rows: Iterable[ScatteringRows] | None = None,
+        max_solid_angle: float = MAX_SOLID_ANGLE,
+        scratch: Path | None = None,
+    ) -> None:
         self.scene, self.dipole = scene, dipole
-        self.operator = SubsurfaceOperator(scene, dipole)
-        self._rows: list[_Rows] = []
-        kept = n_clusters = n_triangles = 0
+        self.operator = SubsurfaceOperator(scene, dipole, max_solid_angle=max_solid_angle)
+        if rows is None:
+            rows = _built(self.operator)
+        self._rows: list[ScatteringRows] = []
+        kept = 0
         with TemporaryFile(dir=scratch) as file:
             spill = _Spill(file)
-            for start in range(0, scene.n_vertices, VERTICES_PER_CHUNK):
-                rows = np.arange(start, min(start + VERTICES_PER_CHUNK, scene.n_vertices))
-                block = self.operator.block(rows)
-                first = block.matrices[0]
-                values = np.stack([matrix.data for matrix in block.matrices])
-                one = _Rows(start, first.indptr, first.indices, values)
-                n_bytes = one.columns.nbytes + one.values.nbytes
-                if scratch is not None and kept + n_bytes > KEPT_BYTES:
+            for one in rows:
+                if scratch is not None and kept + one.n_bytes > KEPT_BYTES:
                     spill.add(one)
                 else:
-                    kept += n_bytes
+                    kept += one.n_bytes
                     self._rows.append(one)
-                n_clusters += block.n_clusters
-                n_triangles += block.n_triangles
             self._rows += spill.rows()
-        self.report: SubsurfaceReport = self.operator.report(n_clusters, n_triangles)
+        self._check()
+        self._matrices = [[self._matrix(one, own) for own in one.values] for one in self._rows]
+        self.report: SubsurfaceReport = self.operator.report(
+            sum(one.n_clusters for one in self._rows), sum(one.n_triangles for one in self._rows)
+        )
+
+    def _check(self) -> None:
+        n_verts = sum(one.stop - one.start for one in self._rows)
+        if n_verts != self.scene.n_vertices:
+            raise SettingsError(f"rows of {n_verts} vertices for {self.scene.n_vertices}")
+        n_sources = self.scene.n_vertices + self.operator.tree.n_nodes
+        for one in self._rows:
+            if len(one.values) != self.dipole.n_channels or one.columns.max(initial=0) >= n_sources:
+                raise SettingsError(f"rows {one.start} to {one.stop} are those of another operator")
+
+    def _matrix(self, rows: ScatteringRows, values: Float32[F32, " entries"]) -> Any:
+        shape = (rows.stop - rows.start, self.scene.n_vertices + self.operator.tree.n_nodes)
+        matrix = csr_array(shape, dtype=np.float32)
+        # given to the constructor, one channel of three or of a file would be copied
+        matrix.data, matrix.indices, matrix.indptr = values, rows.columns, rows.indptr
+        return matrix
 
     def apply(
         self, arriving: Float32[F32, "verts channels one coeffs"]
@@ -109,13 +204,9 @@ class PartScattering:
             for first in range(0, n_coeffs, COLUMNS_PER_PASS):
                 part = slice(first, first + COLUMNS_PER_PASS)
                 sources = self.operator.sources(arriving[:, channel, 0, part])
-                for rows in self._rows:
-                    matrix = csr_array(
-                        (rows.values[own], rows.columns, rows.indptr),
-                        shape=(len(rows.indptr) - 1, len(sources)),
-                    )
-                    stop = rows.start + matrix.shape[0]
-                    result[rows.start : stop, channel, 0, part] = matrix @ sources
+                for rows, matrices in zip(self._rows, self._matrices, strict=True):
+                    scattered = matrices[own] @ sources
+                    result[rows.start : rows.stop, channel, 0, part] = scattered
         return result
 
     def albedo(self, n_channels: int) -> Float64[F64, " channels"]:
@@ -132,30 +223,38 @@ class PartScattering:
         return self.operator.measured_error(transfer, np.unique(rows))
 
 
+def _built(operator: SubsurfaceOperator) -> Iterable[ScatteringRows]:
+    n_verts = operator.scene.n_vertices
+    for start in range(0, n_verts, VERTICES_PER_CHUNK):
+        yield build_rows(operator, start, min(start + VERTICES_PER_CHUNK, n_verts))
+
+
 class _Spill:
     """Rows in a file without a name, which goes when nothing maps it any more."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._added: list[tuple[int, I32, int, tuple[int, int]]] = []
+        self._added: list[tuple[int, ScatteringRows]] = []
 
-    def add(self, rows: _Rows) -> None:
+    def add(self, rows: ScatteringRows) -> None:
         """Write columns and values at the end."""
         at = self._file.tell() // rows.columns.itemsize
-        self._added.append((rows.start, rows.indptr, at, rows.values.shape))
         rows.columns.tofile(self._file)
         rows.values.tofile(self._file)
         self._file.seek(0, SEEK_END)
+        nothing = np.empty(0, np.int32), np.empty((len(rows.values), 0), np.float32)
+        self._added.append((at, replace(rows, columns=nothing[0], values=nothing[1])))
 
-    def rows(self) -> list[_Rows]:
+    def rows(self) -> list[ScatteringRows]:
         """Map all of them at once."""
         if not self._added:
             return []
         self._file.flush()
         words: I32 = np.asarray(np.memmap(self._file, np.int32, mode="r"))
         found = []
-        for start, indptr, at, (n_channels, n_entries) in self._added:
+        for at, one in self._added:
+            n_channels, n_entries = len(one.values), int(one.indptr[-1])
             values = words[at + n_entries : at + (1 + n_channels) * n_entries].view(np.float32)
             shaped = values.reshape(n_channels, n_entries)
-            found.append(_Rows(start, indptr, words[at : at + n_entries], shaped))
+            found.append(replace(one, columns=words[at : at + n_entries], values=shaped))
         return found

@@ -29,7 +29,7 @@ from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.hat_moments import hat_moments
-from prtbake_workers.transport.triangle_octree import build_triangle_octree
+from prtbake_workers.transport.triangle_octree import TriangleOctree, build_triangle_octree
 
 MAX_SOLID_ANGLE = 0.3
 """Of a cluster that stands for its members, in steradians."""
@@ -121,6 +121,8 @@ class SubsurfaceOperator:
     dropped_share
         Share of the total reflectance, in [0, 1), that may be dropped with all that is too far
         away to count: a bound that holds for any light.
+    tree
+        Of the scene, where it is built already.
 
     Raises
     ------
@@ -140,6 +142,7 @@ class SubsurfaceOperator:
         *,
         max_solid_angle: float = MAX_SOLID_ANGLE,
         dropped_share: float = DROPPED_SHARE,
+        tree: TriangleOctree | None = None,
     ) -> None:
         if not max_solid_angle >= 0.0:
             raise SettingsError(f"max_solid_angle must not be negative, got {max_solid_angle}")
@@ -149,7 +152,7 @@ class SubsurfaceOperator:
         self.dipole = dipole
         self.max_solid_angle = max_solid_angle
         self.dropped_share = dropped_share
-        self.tree = build_triangle_octree(scene.positions, scene.faces)
+        self.tree = tree or build_triangle_octree(scene.positions, scene.faces)
 
     @cached_property
     def resolution(self) -> Float64[F64, " channels"]:
@@ -319,7 +322,9 @@ class SubsurfaceOperator:
         Over all channels and weighted by area, against the same rows with every triangle
         integrated; 0 where those are black.
         """
-        every = SubsurfaceOperator(self.scene, self.dipole, max_solid_angle=0.0, dropped_share=0.0)
+        every = SubsurfaceOperator(
+            self.scene, self.dipole, max_solid_angle=0.0, dropped_share=0.0, tree=self.tree
+        )
         sources = self.sources(transfer)
         error = energy = 0.0
         areas = self.scene.areas[rows]
