@@ -10,7 +10,7 @@ from PIL import Image
 
 from prtbake import Asset, InvalidRequest
 from prtbake_storage.contract.jobs import JobState
-from prtbake_storage.decode.relight import rotation_matrix, whitened_light
+from prtbake_storage.decode.relight import project_light, rotation_matrix
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from support.deployment import Installation, until
@@ -92,7 +92,7 @@ def test_the_asset_relights(glossy: Path) -> None:
     with open_transfer(glossy / "transfer.h5") as transfer:
         matrix = transfer.read(1).astype(np.float64)[:, 0]
     expected = {
-        turn: matrix @ whitened_light(asset.data, light, rotation_matrix(turn))
+        turn: matrix @ project_light(asset.data.basis, light, rotation_matrix(turn))
         for turn in ((0.0, 0.0, 0.0), rotation)
     }
     for turn, radiance in expected.items():

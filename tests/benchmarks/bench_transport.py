@@ -18,7 +18,7 @@ from embreex.rtcore_scene import EmbreeScene
 from harness import Row, best_time, in_child
 from threadpoolctl import threadpool_limits
 
-from prtbake_workers.basis.projection import SrbfProjection
+from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorisation import Factorisation
@@ -349,7 +349,7 @@ def _glossy() -> Factorisation:
     return factorise(brdf, n_terms=16)
 
 
-def _projection() -> SrbfProjection:
+def _projection() -> LeastSquaresProjection:
     cube: CubeDirections = cube_directions(32)
     return SrbfBasis(icosphere(3)).projection(cube.directions, cube.weights)
 

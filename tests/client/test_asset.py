@@ -10,6 +10,7 @@ from prtbake import Asset
 from prtbake_storage.decode.asset import Asset as Arrays
 from prtbake_storage.decode.asset import LightFit, Part
 from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5.resources import write_light
 from prtbake_storage.hdf5.writer import write_asset
@@ -53,8 +54,7 @@ def asset(rng: np.random.Generator) -> Asset:
             normals=normals,
             uv=None,
             parts=(part,),
-            centres=unit(rng, COEFFS),
-            bandwidth=BANDWIDTH,
+            basis=WhitenedSrbfs(unit(rng, COEFFS), BANDWIDTH),
         )
     )
 
@@ -79,12 +79,15 @@ def by_hand(asset: Asset, light: LightFit, rotation: np.ndarray) -> np.ndarray:
         return float(4 * np.pi * np.exp(-(lam_a + lam_b)) * np.sinh(r) / r)
 
     gram = np.array(
-        [[overlap(a, BANDWIDTH, b, BANDWIDTH) for b in data.centres] for a in data.centres]
+        [
+            [overlap(a, BANDWIDTH, b, BANDWIDTH) for b in data.basis.centres]
+            for a in data.basis.centres
+        ]
     )
     values, vectors = np.linalg.eigh(gram)
     root = vectors @ np.diag(values**-0.5) @ vectors.T
     seen = np.zeros((COEFFS, 3))
-    for i, centre in enumerate(data.centres):
+    for i, centre in enumerate(data.basis.centres):
         for lobe, lam, colour in zip(
             light.centres, light.bandwidths, light.coefficients, strict=True
         ):

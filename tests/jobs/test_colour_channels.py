@@ -8,6 +8,7 @@ from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.quantise import quantise
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import relight
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import (
     TransferHeader,
@@ -72,7 +73,7 @@ def transfer(store, tmp_path_factory):
     centres = icosphere(2)
     header = TransferHeader(
         positions=points, faces=np.array([[0, 1, 2], [300, 301, 302]], np.int32), normals=points,
-        uv=None, centres=centres, bandwidth=default_bandwidth(COEFFS), parts=tuple(parts),
+        uv=None, basis=WhitenedSrbfs(centres, default_bandwidth(COEFFS)), parts=tuple(parts),
     )  # fmt: skip
     join_transfer(folder / "transfer.h5", header, tiles)
     return store.put_file(folder / "transfer.h5", move=False)

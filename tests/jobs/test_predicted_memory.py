@@ -65,3 +65,18 @@ def test_scattering_and_bounces_hold_what_is_predicted(store):
         assert predicted[name] == pytest.approx(done.measured.peak_memory_bytes, rel=0.3)
         # negative twin: it is not the interpreter alone
         assert done.measured.peak_memory_bytes > 1.6 * CHILD_BYTES
+
+
+def test_planning_in_harmonics_holds_what_is_predicted(store):
+    """A tile only multiplies with what this made: one of SRBFs stands for both."""
+    bake = BAKE | {"basis": "sh", "sh_order": 25}
+    del bake["n_centres"]
+    request = asset_request(receiver=None)
+    request["settings"]["bake"] = bake
+    stages = REGISTRY.stages("asset", request, teapot_context(store, request))
+    (task,) = stages[0].tasks(Results())
+    measured = run_child(task, store).measured.peak_memory_bytes
+    settings = PlannedBake.model_validate(bake)
+    # 7 % measured, see above
+    assert plan_memory_bytes(settings) == pytest.approx(measured, rel=0.3)
+    assert plan_memory_bytes(settings.model_copy(update={"sh_order": 50})) > 2.0 * measured

@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.hdf5.transfer import (
     TransferHeader,
@@ -42,7 +43,7 @@ def transfer(tmp_path_factory):
     up = np.tile([0.0, 0.0, 1.0], (VERTS, 1))
     header = TransferHeader(
         positions=rng.normal(size=(VERTS, 3)), faces=np.array([[0, 1, 2]], np.int32), normals=up,
-        uv=None, centres=up[:COEFFS], bandwidth=60.0, parts=(part,), provenance={},
+        uv=None, basis=WhitenedSrbfs(up[:COEFFS], 60.0), parts=(part,), provenance={},
     )  # fmt: skip
     join_transfer(folder / "transfer.h5", header, [[folder / "tile.h5"]])
     return folder / "transfer.h5", pattern.astype(np.float64)

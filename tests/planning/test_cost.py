@@ -5,7 +5,12 @@ import pytest
 
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
-from prtbake_workers.planning.cost import compress_memory_bytes, part_cost
+from prtbake_workers.planning.cost import (
+    compress_memory_bytes,
+    part_cost,
+    plan_memory_bytes,
+    tile_memory_bytes,
+)
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 
 VERTS, COEFFS = 120, 42
@@ -47,3 +52,20 @@ def test_three_channels_compress_longer_in_more_memory_and_bake_no_longer(method
         2 * one.compress_memory_bytes
     )
     assert one.asset_bytes < three.asset_bytes < 3 * one.asset_bytes
+
+
+def test_costs_go_by_the_coefficients_of_either_basis():
+    """36 harmonics take less of everything than 42 SRBFs, in proportion where it is linear."""
+    settings = PlannedBake(basis="sh", sh_order=6)
+    compression = PartCompression("cta", 3, (2, 6, 5), 4)
+    few, more = (
+        part_cost(bake, compression, n_verts=VERTS, n_terms=4, shadows=True, iterations=4)
+        for bake in (settings, BAKE)
+    )
+    assert few.transfer_bytes * 42 == more.transfer_bytes * 36
+    assert few.compress_memory_bytes * 42 == more.compress_memory_bytes * 36
+    assert few.bake_seconds < more.bake_seconds
+    assert plan_memory_bytes(settings) < plan_memory_bytes(BAKE)
+    assert tile_memory_bytes(settings, n_terms=4, n_verts=VERTS) < tile_memory_bytes(
+        BAKE, n_terms=4, n_verts=VERTS
+    )

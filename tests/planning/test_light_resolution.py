@@ -78,7 +78,7 @@ def baked_error(scene, accelerator, part, factorisation, n_centres, resolution):
     )  # fmt: skip
     signal, residual = held_out_energies(
         scene, accelerator, scene.part_ranges[part], block.coefficients,
-        factorisation=factorisation, basis=basis.whitened, seed=9,
+        factorisation=factorisation, basis=basis.functions, seed=9,
     )  # fmt: skip
     return residual / signal
 

@@ -6,7 +6,12 @@ from pydantic import ValidationError
 
 from prtbake_storage.contract.settings import AssetSettings, BakeSettings, CompressSettings
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.planning.presets import LADDER, resolve_compression, resolve_stages
+from prtbake_workers.planning.presets import (
+    LADDER,
+    PlannedBake,
+    resolve_compression,
+    resolve_stages,
+)
 
 
 def test_every_step_of_the_ladder_resolves_and_grows():
@@ -173,3 +178,53 @@ def test_a_black_brdf_needs_no_more_view_columns_than_the_ladder_gives():
         singular_values=np.zeros(16),
     )  # fmt: skip
     assert found.ranks == LADDER["medium"].ranks
+
+
+def test_a_basis_settles_its_own_size_and_refuses_the_other_s_fields():
+    assert (BakeSettings().n_centres, BakeSettings().sh_order) == (642, None)
+    assert PlannedBake(n_centres=None).n_coeffs == 642
+    harmonics = BakeSettings(basis="sh")
+    assert (harmonics.n_centres, harmonics.bandwidth, harmonics.sh_order) == (None, None, 25)
+    assert PlannedBake(basis="sh").n_coeffs == 625
+    assert PlannedBake(basis="sh", sh_order=5).n_coeffs == 25
+    # what tasks are given as JSON is read back as it was
+    for settings in (harmonics, BakeSettings(n_centres=42, bandwidth=4.0)):
+        assert BakeSettings.model_validate(settings.model_dump(mode="json")) == settings
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"basis": "sh", "n_centres": 642}, "n_centres is of basis 'srbf', not of 'sh'"),
+        ({"basis": "sh", "bandwidth": 60.0}, "bandwidth is of basis 'srbf'"),
+        ({"sh_order": 5}, "sh_order is of basis 'sh', not of 'srbf'"),
+        ({"basis": "sh", "sh_order": 101}, "sh_order"),
+        ({"basis": "haar"}, "basis"),
+        ({"basis": "sh", "n_centres": "auto"}, "n_centres is of basis 'srbf'"),
+        ({"basis": "sh", "cube_resolution": "auto"}, "not with auto"),
+        ({"factorisation": "sh", "n_terms": 8}, "n_terms is of factorisation 'svd', not of 'sh'"),
+        ({"factorisation": "sh", "term_energy_lost": 0.1}, "term_energy_lost is of factorisation"),
+        ({"view_order": 5}, "view_order is of factorisation 'sh', not of 'svd'"),
+        ({"factorisation": "sh", "view_order": 11}, "view_order"),
+    ],
+)
+def test_a_field_of_the_other_kind_is_named(fields, named):
+    with pytest.raises(ValidationError, match=named) as refused:
+        AssetSettings(bake=fields)
+    assert "bake" in refused.value.errors()[0]["loc"]
+
+
+@pytest.mark.parametrize(("quality", "order"), [("draft", 12), ("medium", 25), ("reference", 50)])
+def test_a_quality_gives_harmonics_about_as_many_coefficients(quality, order):
+    bake = resolve_stages(quality, AssetSettings(bake={"basis": "sh"})).planned_bake
+    assert (bake.n_centres, bake.sh_order) == (None, order)
+    assert bake.n_coeffs <= resolve_stages(quality, AssetSettings()).planned_bake.n_coeffs
+    own = resolve_stages(quality, AssetSettings(bake={"basis": "sh", "sh_order": 4})).planned_bake
+    assert own.n_coeffs == 16
+
+
+def test_views_in_harmonics_take_the_place_of_terms():
+    for quality in LADDER:
+        bake = resolve_stages(quality, AssetSettings(bake={"factorisation": "sh"})).bake
+        assert (bake.n_terms, bake.term_energy_lost, bake.view_order) == (None, None, 5)
+        assert resolve_stages(quality, AssetSettings()).bake.view_order is None

@@ -35,7 +35,7 @@ def test_a_fit_is_that_of_the_whitened_basis(rng, lobes, resolution):
     basis, cube = SrbfBasis(centres, bandwidth), cube_directions(resolution)
     assert (cube.n > DIRECTIONS_PER_BLOCK) == (resolution == 20)
     samples = lobes(at).astype(np.float64) / np.sqrt(cube.weights)
-    whitened = samples @ basis.projection_matrix(cube.directions, cube.weights)
+    whitened = samples @ basis.projection(cube.directions, cube.weights).matrix
     fitted = whitened @ basis.reconstruction_matrix(held_out.directions).T
     expected = ((lobes(held_out) - fitted * held_out.root_weights) ** 2).sum(axis=1)
     # both solve systems of condition 1e5 to 1e7 in float64, for functions given in float32

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.decode.view_map import hemi_octahedral_inverse, texel_centres
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import grid_mesh, sphere_mesh
@@ -77,7 +78,8 @@ def make_scene(
         positions=positions.astype(np.float32),
         faces=np.concatenate([sphere.faces, plane.faces + n]).astype(np.int32),
         normals=np.concatenate([sphere.normals, plane.normals]).astype(np.float32),
-        uv=uv.astype(np.float32), parts=(glossy, diffuse), centres=icosphere(0), bandwidth=3.0,
+        uv=uv.astype(np.float32), parts=(glossy, diffuse),
+        basis=WhitenedSrbfs(icosphere(0), 3.0),
     )  # fmt: skip
 
 

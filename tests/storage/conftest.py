@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 
 
 def unit(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -56,7 +57,7 @@ def make_asset(
     return Asset(
         positions=random(verts, 3), faces=np.concatenate(triangles).astype(np.int32),
         normals=normals, uv=rng.random((verts, 2)).astype(np.float32), parts=(glossy, diffuse),
-        centres=unit(rng, coeffs), bandwidth=10.0, provenance={"seed": 3, "inputs": ["é"]},
+        basis=WhitenedSrbfs(unit(rng, coeffs), 10.0), provenance={"seed": 3, "inputs": ["é"]},
     )  # fmt: skip
 
 

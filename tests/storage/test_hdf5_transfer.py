@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.decode.quantise import quantise
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import schema
 from prtbake_storage.hdf5.transfer import (
@@ -49,8 +50,8 @@ class Scene:
             start += size
         self.header = TransferHeader(
             positions=rng.normal(size=(n, 3)), faces=np.array([[0, 1, 2]], np.int32),
-            normals=normals, uv=None, centres=np.tile([0.0, 0.0, 1.0], (COEFFS, 1)),
-            bandwidth=60.0, parts=tuple(parts), provenance={"seed": 1},
+            normals=normals, uv=None, basis=WhitenedSrbfs(np.tile([0.0, 0.0, 1.0], (COEFFS, 1)), 60.0),
+            parts=tuple(parts), provenance={"seed": 1},
         )  # fmt: skip
 
     def tiles(self, folder: Path, size: int) -> list[list[Path]]:

@@ -245,5 +245,5 @@ def _surfaces(scene, factorisations, textures, basis):
     return Asset(
         positions=scene.positions.astype(np.float32), faces=scene.faces,
         normals=scene.normals.astype(np.float32), uv=None, parts=tuple(parts),
-        centres=basis.centres, bandwidth=basis.bandwidth,
+        basis=basis.stored,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.basis.projection import SrbfProjection
+from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
@@ -60,7 +60,7 @@ def bake_dense(
     vertex_range: tuple[int, int],
     *,
     factorisation: Factorisation,
-    projection: SrbfProjection,
+    projection: LeastSquaresProjection,
     directions: CubeDirections,
     supersample: int = 1,
 ) -> tuple[Float64[F64, "verts terms coeffs"], Float64[F64, " verts"], Float64[F64, " verts"]]:

@@ -66,7 +66,7 @@ def test_the_true_error_is_found_where_the_residual_is_not(
     block = bake(scene, accelerator, basis, factorisation, cube_directions(resolution))
     signal, residual = held_out_energies(
         scene, accelerator, (0, scene.n_vertices), block.coefficients,
-        factorisation=factorisation, basis=basis.whitened, seed=1,
+        factorisation=factorisation, basis=basis.functions, seed=1,
     )  # fmt: skip
     expected = dense_error(scene, accelerator, basis, factorisation, block.coefficients)
     # 10 % is the standard deviation over twelve seeds
@@ -110,7 +110,7 @@ def test_no_light_is_found_in_a_closed_room_of_six_squares(rng, basis):
     assert not block.signal_energy.any()
     found = held_out_energies(
         scene, accelerator, (0, scene.n_vertices), block.coefficients,
-        factorisation=DIFFUSE, basis=basis.whitened, seed=1,
+        factorisation=DIFFUSE, basis=basis.functions, seed=1,
     )  # fmt: skip
     assert found == (0.0, 0.0)
     # the negative twin: from the vertices themselves rays pass beside the walls
@@ -124,6 +124,6 @@ def test_no_light_is_found_in_a_closed_room_of_six_squares(rng, basis):
 def test_a_part_without_area_has_no_energy(scene, accelerator, basis):
     nothing = np.zeros((0, 1, basis.n), np.float32)
     found = held_out_energies(
-        scene, accelerator, (0, 0), nothing, factorisation=DIFFUSE, basis=basis.whitened, seed=1
+        scene, accelerator, (0, 0), nothing, factorisation=DIFFUSE, basis=basis.functions, seed=1
     )
     assert found == (0.0, 0.0)

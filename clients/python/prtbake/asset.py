@@ -1,7 +1,6 @@
 """Compressed assets on this side of the wire: open, relight, colour."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,12 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from prtbake_storage.decode import asset as arrays
 from prtbake_storage.decode.relight import (
     corner_colour,
+    project_light,
     relight,
     rotation_matrix,
     shade,
-    whitened_light,
 )
-from prtbake_storage.decode.srbf import Whitening, whitening
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
@@ -69,11 +67,6 @@ class Asset:
         """Digests, settings, seeds and versions that the asset was made with."""
         return self.data.provenance
 
-    @cached_property
-    def _roots(self) -> Whitening:
-        # an eigen-decomposition, and the same for every light
-        return whitening(self.data.centres, self.data.bandwidth)
-
     def relight(self, light: Light, *, rotation: ArrayLike | None = None) -> list[F32]:
         """Do the work that a light needs once, for all views.
 
@@ -90,7 +83,7 @@ class Asset:
             One array (verts, R_view, 3) a part: radiance a view column.
         """
         fit = read_light(Path(light)) if isinstance(light, Path | str) else light
-        turned = whitened_light(self.data, fit, _matrix(rotation), roots=self._roots)
+        turned = project_light(self.data.basis, fit, _matrix(rotation))
         return relight(self.data, turned)
 
     def vertex_radiance(

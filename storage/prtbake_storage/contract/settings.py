@@ -7,6 +7,8 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from prtbake_storage.contract.base import Digest, Positive, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
+from prtbake_storage.decode.sh import MOST_ORDER
+from prtbake_storage.decode.transfer_basis import BasisKind
 
 Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
@@ -14,11 +16,26 @@ Rank = Annotated[int, Field(ge=1, lt=2**31)]
 CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
 MOST_CENTRES = 10242
 
+FactorisationKind = Literal["svd", "sh"]
+
+OWNERS = {
+    "n_centres": ("basis", "srbf"),
+    "bandwidth": ("basis", "srbf"),
+    "sh_order": ("basis", "sh"),
+    "n_terms": ("factorisation", "svd"),
+    "term_energy_lost": ("factorisation", "svd"),
+    "view_order": ("factorisation", "sh"),
+}
+"""Settings that go with one kind of basis or factorisation alone."""
+
+SIZES = {"n_centres": 642, "sh_order": 25, "view_order": 5}
+"""Of these where a request says nothing and their kind is taken: 642, 625 and 25 functions."""
+
 
 class Effects(Wire):
     """Which effects to simulate; ``auto`` lets planning decide.
 
-    ``view_dependence`` off bakes one term a part, whatever ``n_terms`` asks for: the view then
+    ``view_dependence`` off bakes the best one term a part, whatever the settings ask: the view then
     scales what a point reflects and chooses nothing of it.  ``colour_bleeding`` gives each colour
     its own bounced light, at three times the coefficients; without it colours share their mean.
     """
@@ -63,6 +80,13 @@ class ReceiverPlane(Wire):
 class BakeSettings(Wire):
     """Transport: ``cube_resolution`` N is 6 N^2 directions; ``supersample`` S is S^2 rays each.
 
+    It is projected on a ``basis`` of incident light, ``n_centres`` Gaussian SRBFs (``srbf``) or the
+    spherical harmonics (``sh``) of ``sh_order`` bands; as many of either leave about as much.
+    The views of an isotropic BRDF are one side of the best sum of K products (``factorisation``
+    ``svd``), or lie in the hemispherical harmonics of ``view_order`` bands (``sh``): more terms for
+    the same error, in functions that no BRDF chooses.  Fields of one kind are refused with the
+    other.
+
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
     Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
     squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
@@ -78,16 +102,31 @@ class BakeSettings(Wire):
     """N of 6 N^2 directions that light is simulated in; `auto` leaves it to planning."""
     supersample: Annotated[int, Field(ge=1, le=8)] = 1
     """S of S^2 shadow rays a direction."""
-    n_centres: CentreCount | Literal["auto"] = 642
-    """Functions of the basis that transport is projected on; `auto` leaves it to planning."""
+    basis: BasisKind = "srbf"
+    """Functions that transport is projected on: spherical radial ones, or spherical harmonics."""
+    n_centres: CentreCount | Literal["auto"] | None = Field(default=None, validate_default=True)
+    """Functions of basis `srbf`; `auto` leaves it to planning; null is 642, and the quality's in an
+    asset job."""
     projection_tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
     """Squared, relative: what a projection that planning chooses may leave of transport."""
     bandwidth: Positive | None = None
     """Of these functions: larger is narrower; null is 60 for 642 centres, and in proportion."""
+    sh_order: Annotated[int, Field(ge=1, le=MOST_ORDER)] | None = Field(
+        default=None, validate_default=True
+    )
+    """Bands n of basis `sh`: n² functions; null is 25, and for as many as `n_centres` in an asset
+    job."""
+    factorisation: FactorisationKind = "svd"
+    """How a BRDF becomes a sum of K products: the best such sum, or harmonics of the view."""
     n_terms: Annotated[int, Field(ge=1, le=256)] | None = None
-    """Terms K of the BRDF at most; null lets `term_energy_lost` choose."""
+    """Of factorisation `svd`: terms K at most; null lets `term_energy_lost` choose."""
     term_energy_lost: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    """Share of the BRDF's energy that its K terms may lose."""
+    """Of factorisation `svd`: share of the BRDF's energy that its K terms may lose."""
+    view_order: Annotated[int, Field(ge=1, le=10)] | None = Field(
+        default=None, validate_default=True
+    )
+    """Bands of factorisation `sh`, on the hemisphere of views: n² functions, or a few less; null is
+    5."""
     bounce_rays: Annotated[int, Field(ge=1, le=4096)] = 64
     """Rays a vertex that look for bounced light, at most."""
     max_bounces: Annotated[int, Field(ge=1, le=64)] = 6
@@ -109,15 +148,32 @@ class BakeSettings(Wire):
         numbers = {"cube_resolution": self.cube_resolution, "n_centres": self.n_centres}
         return tuple(name for name, value in numbers.items() if value == "auto")
 
-    @field_validator("n_centres", "bandwidth")
+    @field_validator(*OWNERS)
+    @classmethod
+    def _of_its_kind(cls, value: float | str | None, info: ValidationInfo) -> float | str | None:
+        """Refuse what belongs to another kind; settle the size of the kind that is taken."""
+        name = str(info.field_name)
+        choice, owner = OWNERS[name]
+        if choice not in info.data:  # refused itself
+            return value
+        if info.data[choice] == owner:
+            return SIZES.get(name) if value is None else value
+        if value is not None:
+            raise ValueError(f"{name} is of {choice} {owner!r}, not of {info.data[choice]!r}")
+        return None
+
+    @field_validator("basis", "n_centres", "bandwidth")
     @classmethod
     def _known(cls, value: float | str | None, info: ValidationInfo) -> float | str | None:
         """Refuse what planning cannot choose the rest for."""
+        resolution_open = info.data.get("cube_resolution") == "auto"
         if info.field_name == "bandwidth":
             if value is not None and info.data.get("n_centres") == "auto":
                 raise ValueError("a bandwidth goes with a number of n_centres, not with auto")
-        elif value == MOST_CENTRES and info.data.get("cube_resolution") == "auto":
+        elif value == MOST_CENTRES and resolution_open:
             raise ValueError(f"{MOST_CENTRES} centres need a cube_resolution beside them, of 66")
+        elif value == "sh" and resolution_open:
+            raise ValueError("basis 'sh' goes with a number of cube_resolution, not with auto")
         return value
 
 

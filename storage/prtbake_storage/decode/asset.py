@@ -1,8 +1,8 @@
 """What a compressed asset and a fitted light are, as plain numpy arrays.
 
 An asset is one mesh cut into parts.  Every part has a material and the factors of its compressed
-transfer tensor T (terms x coeffs x verts), whose light axis is whitened (docs/theory, "The
-metric"): a vertex x of cluster c has
+transfer tensor T (terms x coeffs x verts), whose light axis is that of an orthonormal basis
+(docs/theory, "The metric"): a vertex x of cluster c has
 
     CTA   T_x = U_view  uf^-1(V_c^T w_x)  U_light,c^T                  [Tsai2006]_ eq. (18)
     CPCA  T_x = mean_c + sum_p w_xp component_cp                       [Sloan2003]_ section 4
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.decode.sides import opposite_faces
+from prtbake_storage.decode.transfer_basis import TransferBasis
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -162,8 +163,8 @@ class Part(Surface):
 class Asset:
     """A mesh with compressed transfer, ready to be relit.
 
-    ``centres`` (coeffs, 3) and ``bandwidth`` name the Gaussian SRBFs whose whitened span the light
-    axis lives in.  Positions are in scene units, normals of unit length.
+    ``basis`` holds the orthonormal functions of incident light that the light axis lives in.
+    Positions are in scene units, normals of unit length.
     """
 
     positions: F32
@@ -171,8 +172,7 @@ class Asset:
     normals: F32
     uv: F32 | None
     parts: tuple[Part, ...]
-    centres: F64
-    bandwidth: float
+    basis: TransferBasis
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -182,8 +182,8 @@ class Asset:
 
     @property
     def n_coeffs(self) -> int:
-        """SRBF centres."""
-        return int(self.centres.shape[0])
+        """Functions of the basis."""
+        return self.basis.n_coeffs
 
     @property
     def object_ranges(self) -> list[tuple[int, int]]:
@@ -249,9 +249,7 @@ def check_asset(asset: Asset) -> None:
     _indices("mesh/faces", asset.faces, verts)
     if asset.uv is not None:
         _shape("mesh/uv", asset.uv, (verts, 2))
-    _shape("basis/centres", asset.centres, (asset.n_coeffs, 3))
-    if not (np.isfinite(asset.bandwidth) and asset.bandwidth > 0):
-        raise ValueError(f"basis/bandwidth is {asset.bandwidth}, not a positive number")
+    asset.basis.check()
     stop = 0
     for index, part in enumerate(asset.parts):
         if part.vertex_range[0] != stop or part.vertex_range[1] <= stop:
@@ -327,9 +325,8 @@ def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
 
 
 def _finite(name: str, array: NDArray[Any]) -> None:
-    expected = np.float64 if name == "basis/centres" else np.float32
-    if array.dtype.kind != "i" and array.dtype != expected:
-        raise ValueError(f"{name} is {array.dtype}, not {np.dtype(expected)}")
+    if array.dtype.kind != "i" and array.dtype != np.float32:
+        raise ValueError(f"{name} is {array.dtype}, not float32")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{name} is not finite at {place}")

@@ -4,8 +4,8 @@ The colour of a point x of cluster c seen from wo is [Tsai2006]_ eqs. (22)-(23)
 
     C = phi'_x(wo) . sum_j (w_x)_j uf^-1(V_c^T)_j L'_c,    L'_c = U_light,c^T l,
 
-with l the whitened light G^(-1/2) A L.  The work falls in three steps, each as seldom as it can:
-`cluster_matrices` once a light (R_c = uf^-1(V_c^T)_j L'_c), `vertex_radiance` once a light
+with l the light in the asset's orthonormal basis.  The work falls in three steps, each as seldom as
+it can: `cluster_matrices` once a light (R_c = uf^-1(V_c^T)_j L'_c), `vertex_radiance` once a light
 (sum over j), `shade` once a view.  Channel c of l meets channel c of the transfer in the first
 step, so that the others need not know whether transfer has colours of its own.  Separable terms
 carry azimuthal orders, so phi' is evaluated in every corner's own frame and the colours are mixed,
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prtbake_storage.decode.asset import Asset, LightFit, Part
-from prtbake_storage.decode.srbf import Whitening, product_matrix, whitening
 from prtbake_storage.decode.texture import lookup_repeating
+from prtbake_storage.decode.transfer_basis import TransferBasis
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
 
 F32 = NDArray[np.float32]
@@ -39,37 +39,29 @@ def rotation_matrix(rotation_deg: ArrayLike) -> F64:
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def whitened_light(
-    asset: Asset, light: LightFit, rotation: F64 | None = None, *, roots: Whitening | None = None
-) -> F64:
-    """Project a light onto the asset's whitened basis: l = G^(-1/2) A L.
+def project_light(basis: TransferBasis, light: LightFit, rotation: F64 | None = None) -> F64:
+    """Project a light onto an orthonormal basis: G^(-1/2) A L for whitened SRBFs.
 
     Parameters
     ----------
-    asset
-        Gives centres and bandwidth.
+    basis
+        That of the asset.
     light
         Scattered SRBFs.
     rotation
         (3, 3); turns the light by turning the lobes' centres, which is exact.
-    roots
-        Square roots of the Gram matrix, where the caller keeps them: they cost an
-        eigen-decomposition.
 
     Returns
     -------
     ndarray
         (coeffs, 3) linear RGB, float64.
     """
-    if roots is None:
-        roots = whitening(asset.centres, asset.bandwidth)
     centres = light.centres if rotation is None else light.centres @ rotation.T
-    overlap = product_matrix(asset.centres, asset.bandwidth, centres, light.bandwidths)
-    return np.asarray(roots.inv_sqrt_gram @ (overlap @ light.coefficients))
+    return basis.light_of_lobes(centres, light.bandwidths, light.coefficients)
 
 
 def cluster_matrices(part: Part, light: F64) -> F32:
-    """Fold the whitened light (coeffs, 3) into every cluster.
+    """Fold the projected light (coeffs, 3) into every cluster.
 
     Returns
     -------
@@ -118,7 +110,7 @@ def vertex_radiance(part: Part, matrices: F32) -> F32:
 
 
 def relight(asset: Asset, light: F64) -> list[F32]:
-    """Return `vertex_radiance` of every part under the whitened light (coeffs, 3)."""
+    """Return `vertex_radiance` of every part under the projected light (coeffs, 3)."""
     return [vertex_radiance(part, cluster_matrices(part, light)) for part in asset.parts]
 
 

@@ -11,11 +11,11 @@ from prtbake_storage.decode.asset import Asset, Part, check_asset
 from prtbake_storage.decode.quantise import SHARED_AXES, unpack_frames, unpack_units
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
+from prtbake_storage.hdf5.basis import get_basis
 from prtbake_storage.hdf5.resources import check_unit, get_faces
 from prtbake_storage.hdf5.tables import child_parts, get_surface
 
 F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 
 def read_asset(path: Path) -> Asset:
@@ -33,16 +33,15 @@ def read_asset(path: Path) -> Asset:
         uv = None
         if h5.has(mesh, "uv"):
             uv = h5.get(mesh, "uv", "f", (len(positions), 2)).astype(np.float32)
-        centres, bandwidth = get_basis(file)
-        parts = tuple(_part(group, normals, len(centres)) for group in child_parts(file))
+        basis = get_basis(file)
+        parts = tuple(_part(group, normals) for group in child_parts(file))
         asset = Asset(
             positions=positions,
             faces=get_faces(mesh, len(positions)),
             normals=normals,
             uv=uv,
             parts=parts,
-            centres=centres,
-            bandwidth=bandwidth,
+            basis=basis,
             provenance=h5.get_object(file, "provenance"),
         )
     try:
@@ -52,19 +51,6 @@ def read_asset(path: Path) -> Asset:
     return asset
 
 
-def get_basis(file: h5py.File) -> tuple[F64, float]:
-    """Read centres and bandwidth of the whitened Gaussian basis."""
-    group = h5.child(file, "basis")
-    if h5.attribute(group, "kernel") != "gaussian" or h5.attribute(group, "whitened") != 1:
-        raise CorruptArtefact("/basis is not a whitened Gaussian basis")
-    centres = h5.get(group, "centres", "f", (None, 3)).astype(np.float64)
-    check_unit("/basis/centres", centres)
-    bandwidth = h5.attribute(group, "bandwidth")
-    if not isinstance(bandwidth, int | float) or not 0 < bandwidth < np.inf:
-        raise CorruptArtefact(f"/basis: bandwidth is {bandwidth!r}")
-    return centres, float(bandwidth)
-
-
 def _normals(mesh: h5py.Group, n_vertices: int) -> F32:
     stored = h5.get(mesh, "normals", "fi", (n_vertices, 3))
     normals = unpack_units(stored) if stored.dtype == np.int16 else stored.astype(np.float32)
@@ -72,7 +58,7 @@ def _normals(mesh: h5py.Group, n_vertices: int) -> F32:
     return normals
 
 
-def _part(group: h5py.Group, normals: F32, n_coeffs: int) -> Part:
+def _part(group: h5py.Group, normals: F32) -> Part:
     surface = get_surface(group)
     method = h5.attribute(group, "method")
     if method not in ("cta", "cpca"):

@@ -5,7 +5,7 @@
     /                 attributes format="prtbake", version, kind (one of KINDS)
     /provenance       JSON text: input digests, settings, seeds, versions, plan
     /mesh/            positions normals faces uv; of kind mesh also colours face_groups group_names
-    /basis/           centres; attributes kernel, bandwidth
+    /basis/           centres; attributes kernel, bandwidth.  Or attributes kind="sh", order
     /light/           centres bandwidths coefficients; attribute error
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.decode.asset import Surface
+from prtbake_storage.decode.transfer_basis import TransferBasis
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5 import schema
-from prtbake_storage.hdf5.reader import get_basis
+from prtbake_storage.hdf5.basis import get_basis, put_basis
 from prtbake_storage.hdf5.resources import get_mesh, put_mesh
 from prtbake_storage.hdf5.tables import child_parts, get_surface, put_surface
-from prtbake_storage.hdf5.writer import put_basis
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -60,8 +60,7 @@ class TransferHeader:
     faces: I32
     normals: F64
     uv: F64 | None
-    centres: F64
-    bandwidth: float
+    basis: TransferBasis
     parts: tuple[TransferPart, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -86,7 +85,7 @@ def write_transfer_tile(
     path
         Final name.
     coefficients
-        (verts, rows, coeffs) int16, whitened when multiplied by ``scale``.
+        (verts, rows, coeffs) int16, those of an orthonormal basis when multiplied by ``scale``.
     scale
         (verts, rows).
     signal_energy, residual_energy
@@ -120,7 +119,7 @@ def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[P
     """
     with h5.new_file(path, "transfer") as file:
         put_mesh(file, header.positions, header.faces, header.normals, header.uv)
-        put_basis(file, header.centres, header.bandwidth)
+        put_basis(file, header.basis)
         parts = h5.group(file, "parts")
         for index, (part, paths) in enumerate(zip(header.parts, tiles, strict=True)):
             group = h5.group(parts, str(index))
@@ -130,7 +129,7 @@ def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[P
                 h5.put(group, "frames", part.frames.astype(np.float64), "verts axes xyz")
             if part.subsurface is not None:
                 h5.put_json(group, "subsurface", dict(part.subsurface))
-            _join_part(group, part, len(header.centres), paths)
+            _join_part(group, part, header.basis.n_coeffs, paths)
         h5.put_json(file, "provenance", dict(header.provenance))
 
 
@@ -142,7 +141,7 @@ class TransferFile:
         self._groups = groups
 
     def read(self, part: int, start: int = 0, stop: int | None = None) -> F32:
-        """Return whitened float32 coefficients of vertices start..stop, counted in the part.
+        """Return float32 coefficients of vertices start..stop, counted in the part.
 
         Shape (verts, rows, coeffs).  Raises CorruptArtefact where a checksum fails.
         """
@@ -169,16 +168,15 @@ def open_transfer(path: Path) -> Iterator[TransferFile]:
     """
     with h5.open_file(path, "transfer") as file:
         positions, faces, normals, uv = get_mesh(file)
-        centres, bandwidth = get_basis(file)
+        basis = get_basis(file)
         groups = child_parts(file)
         header = TransferHeader(
             positions=positions,
             faces=faces,
             normals=normals,
             uv=uv,
-            centres=centres,
-            bandwidth=bandwidth,
-            parts=tuple(_get_part(group, len(centres)) for group in groups),
+            basis=basis,
+            parts=tuple(_get_part(group, basis.n_coeffs) for group in groups),
             provenance=h5.get_object(file, "provenance"),
         )
         ranges = [part.vertex_range for part in header.parts]

@@ -16,6 +16,7 @@ from prtbake_storage.decode.quantise import (
     quantise_weights,
 )
 from prtbake_storage.hdf5 import primitives as h5
+from prtbake_storage.hdf5.basis import put_basis
 from prtbake_storage.hdf5.resources import put_directions, put_mesh
 from prtbake_storage.hdf5.tables import put_surface
 
@@ -58,22 +59,13 @@ def write_asset(path: Path, asset: Asset, *, bits: int = 16) -> Asset:
         h5.set_attribute(file, "bits", bits)
         normals = pack_units(asset.normals) if bits == 16 else asset.normals
         put_mesh(file, asset.positions, asset.faces, normals, asset.uv)
-        put_basis(file, asset.centres, asset.bandwidth)
+        put_basis(file, asset.basis)
         parts = h5.group(file, "parts")
         for index, part in enumerate(asset.parts):
             part_normals = asset.normals[slice(*part.vertex_range)]
             _put_part(h5.group(parts, str(index)), part, part_normals, bits)
         h5.put_json(file, "provenance", dict(asset.provenance))
     return seen
-
-
-def put_basis(file: h5py.File, centres: NDArray[np.float64], bandwidth: float) -> None:
-    """Write the SRBF basis; the light axis of every factor is whitened in its span."""
-    group = h5.group(file, "basis")
-    h5.set_attribute(group, "kernel", "gaussian")
-    h5.set_attribute(group, "bandwidth", float(bandwidth))
-    h5.set_attribute(group, "whitened", 1)
-    h5.put(group, "centres", centres.astype(np.float64), "coeffs xyz")
 
 
 def _put_part(group: h5py.Group, part: Part, normals: F32, bits: int) -> None:

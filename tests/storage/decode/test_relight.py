@@ -9,13 +9,14 @@ from prtbake_storage.decode.asset import Asset, LightFit, Part, check_asset
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import (
     cluster_matrices,
+    project_light,
     relight,
     rotation_matrix,
     shade,
     vertex_radiance,
-    whitened_light,
 )
 from prtbake_storage.decode.srbf import gaussian, whitening
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
 from support.quadrature import sphere_quadrature
 
@@ -55,8 +56,8 @@ def sphere_asset(normals: np.ndarray) -> Asset:
     )  # fmt: skip
     return Asset(
         positions=normals.astype(np.float32), faces=np.zeros((1, 3), np.int32),
-        normals=normals.astype(np.float32), uv=None, parts=(part,), centres=centres,
-        bandwidth=bandwidth,
+        normals=normals.astype(np.float32), uv=None, parts=(part,),
+        basis=WhitenedSrbfs(centres, bandwidth),
     )  # fmt: skip
 
 
@@ -70,7 +71,7 @@ def irradiance_over_pi(normals: np.ndarray, light: LightFit, rotation: np.ndarra
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (33.0, -70.0, 121.0)])
-def test_a_whitened_light_is_the_integral_of_basis_and_radiance(
+def test_a_projected_light_is_the_integral_of_basis_and_radiance(
     rng: np.random.Generator, angles: tuple[float, float, float]
 ) -> None:
     """L'(d) = L(R^T d) by quadrature: lobes wider than the basis, and narrower ones."""
@@ -83,14 +84,18 @@ def test_a_whitened_light_is_the_integral_of_basis_and_radiance(
     directions, weights = sphere_quadrature(80)
     kernel = gaussian((directions @ rotation) @ light.centres.T, light.bandwidths)
     flux = (kernel @ light.coefficients) * weights[:, None]
-    basis = gaussian(directions @ asset.centres.T, asset.bandwidth)
-    expected = whitening(asset.centres, asset.bandwidth).inv_sqrt_gram @ (basis.T @ flux)
+    basis = gaussian(directions @ asset.basis.centres.T, asset.basis.bandwidth)
+    expected = whitening(asset.basis.centres, asset.basis.bandwidth).inv_sqrt_gram @ (
+        basis.T @ flux
+    )
     # 1e-9 of the largest: G^(-1/2) amplifies rounding by the root of the condition number
     atol = 1e-9 * np.abs(expected).max()
-    np.testing.assert_allclose(whitened_light(asset, light, rotation), expected, rtol=0, atol=atol)
+    np.testing.assert_allclose(
+        project_light(asset.basis, light, rotation), expected, rtol=0, atol=atol
+    )
     for wrong in (
-        whitened_light(asset, replace(light, bandwidths=light.bandwidths * 1.001), rotation),
-        whitened_light(asset, light, rotation @ rotation_matrix((0.0, 0.1, 0.0))),
+        project_light(asset.basis, replace(light, bandwidths=light.bandwidths * 1.001), rotation),
+        project_light(asset.basis, light, rotation @ rotation_matrix((0.0, 0.1, 0.0))),
     ):
         assert np.abs(wrong - expected).max() > 1e3 * atol
 
@@ -102,7 +107,7 @@ def test_a_lambertian_sphere_reflects_its_irradiance(
     normals, light = unit(rng, 40), smooth_light(rng)
     asset = sphere_asset(normals)
     rotation = rotation_matrix(angles)
-    (found,) = relight(asset, whitened_light(asset, light, rotation))
+    (found,) = relight(asset, project_light(asset.basis, light, rotation))
     expected = irradiance_over_pi(normals, light, rotation)
     # 200 smooth SRBFs leave up to 1e-3 of a clamped cosine out of such a light
     tolerance = 3e-3 * expected.max()
@@ -115,11 +120,11 @@ def test_turning_the_light_is_turning_the_sphere_back(rng: np.random.Generator) 
     normals, light = unit(rng, 40), smooth_light(rng)
     rotation = rotation_matrix((20.0, 50.0, -30.0))
     still, turned = sphere_asset(normals), sphere_asset(normals @ rotation)  # rows R^T n
-    (by_light,) = relight(still, whitened_light(still, light, rotation))
-    (by_asset,) = relight(turned, whitened_light(turned, light))
+    (by_light,) = relight(still, project_light(still.basis, light, rotation))
+    (by_asset,) = relight(turned, project_light(turned.basis, light))
     tolerance = 3e-3 * by_light.max()  # the basis itself does not turn, see above
     np.testing.assert_allclose(by_light, by_asset, atol=tolerance)
-    (backwards,) = relight(still, whitened_light(still, light, rotation.T))
+    (backwards,) = relight(still, project_light(still.basis, light, rotation.T))
     assert np.abs(backwards - by_asset).max() > 3 * tolerance
 
 

@@ -8,9 +8,9 @@ of the digits that forming the product of a nearly singular matrix would lose.
 
 import numpy as np
 
+from prtbake_storage.decode.sh import check_order, eval_sh
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, I64, Float64, Int64
-from prtbake_workers.basis.sh_evaluation import check_order, eval_sh
 
 METHODS = ("zero", "odd", "even", "least_squares")
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from prtbake_storage.decode.sh import check_order, eval_sh, order_of
 from prtbake_storage.decode.srbf import CONDITION_LIMIT
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.basis.hemisphere import column_space, functions_of, hemisphere_factors
-from prtbake_workers.basis.sh_evaluation import check_order, eval_sh, order_of
 
 DROP_TOLERANCE = 1e-4
 """Squared error over the hemisphere that dropping functions may cost a signal of unit power.

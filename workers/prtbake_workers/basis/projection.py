@@ -18,7 +18,7 @@ It takes 1e-4 of the amplitude (1e-8 of the energy) from what the samples resolv
 
 
 @dataclass(frozen=True)
-class SrbfProjection:
+class LeastSquaresProjection:
     """Takes samples in fixed directions to coefficients of an orthonormal basis B.
 
     ``t = argmin sum_w W_w (T_w - (B t)_w)^2 + ridge |t|^2``
@@ -105,7 +105,7 @@ def project(
     weights: Float64[F64, " dirs"],
     *,
     ridge: float = RIDGE,
-) -> SrbfProjection:
+) -> LeastSquaresProjection:
     """Prepare the projection on an orthonormal basis known at weighted directions.
 
     Parameters
@@ -119,7 +119,7 @@ def project(
 
     Returns
     -------
-    SrbfProjection
+    LeastSquaresProjection
         Also with fewer directions than coefficients: then the fit of least energy.
 
     Raises
@@ -145,7 +145,7 @@ def project(
     system[np.diag_indices(len(system))] += ridge
     factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
     matrix = cho_solve(factor, weighted.T, overwrite_b=True, check_finite=False).T
-    return SrbfProjection(
+    return LeastSquaresProjection(
         matrix=np.ascontiguousarray(matrix),
         samples=samples,
         weights=weights,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from prtbake_storage.decode.sh import check_order, eval_sh
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.basis.sh_evaluation import check_order, eval_sh
 
 LIGHT_VALUES = 1 << 18
 """Basis values a block while an environment is integrated: 2 MiB."""

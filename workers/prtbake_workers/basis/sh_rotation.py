@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from prtbake_storage.decode.sh import check_order, order_of
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.quarter_turn import quarter_turns
-from prtbake_workers.basis.sh_evaluation import check_order, order_of
 
 ROTATION_TOLERANCE = 1e-5
 """What the entries of R^T R - 1 may sum to: float32 leaves up to 1e-6."""

@@ -1,5 +1,6 @@
 """SRBF bases of one bandwidth on fixed centres: evaluation, metric, projection, light."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,11 +14,11 @@ from prtbake_storage.decode.srbf import (
     gaussian,
     gaussian_product_integral,
     gram_matrix,
-    whitening,
 )
+from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.basis.projection import RIDGE, SrbfProjection, project
+from prtbake_workers.basis.projection import RIDGE, LeastSquaresProjection, project
 
 __all__ = [
     "SrbfBasis",
@@ -137,6 +138,16 @@ class WhitenedBasis:
         values = gaussian(directions @ self.centres.T, self.bandwidth)
         return np.asarray(values @ self.inv_sqrt_gram)
 
+    def tables(self) -> tuple[dict[str, F64], dict[str, Any]]:
+        """Give arrays and numbers that `from_tables` makes the functions of again."""
+        arrays = {"centres": self.centres, "inv_sqrt_gram": self.inv_sqrt_gram}
+        return arrays, {"bandwidth": self.bandwidth}
+
+    @classmethod
+    def from_tables(cls, arrays: Mapping[str, F64], numbers: Mapping[str, Any]) -> "WhitenedBasis":
+        """Read back what `tables` gave."""
+        return cls(arrays["centres"], numbers["bandwidth"], arrays["inv_sqrt_gram"])
+
 
 class SrbfBasis:
     """Gaussian SRBFs of one bandwidth on fixed centres, used through whitened coefficients.
@@ -152,6 +163,8 @@ class SrbfBasis:
     ----------
     gram
         Product integrals of the basis with itself.
+    stored
+        Centres and bandwidth, as files and decoders have them.
     whitening
         G^(1/2) and G^(-1/2): coefficients c and whitened t hold ``t = G^(1/2) c``.
     condition
@@ -174,7 +187,8 @@ class SrbfBasis:
             raise SettingsError(f"bandwidth must be a positive number, got {lam}")
         self.centres = centres / norms[:, None]
         self.bandwidth = lam
-        self.whitening: Whitening = whitening(self.centres, lam)
+        self.stored = WhitenedSrbfs(self.centres, lam)
+        self.whitening: Whitening = self.stored.whitening
         if not self.whitening.condition <= CONDITION_LIMIT:
             raise SettingsError(
                 f"bandwidth {lam:g} is too small for {self.n} centres: the Gram matrix has "
@@ -195,7 +209,12 @@ class SrbfBasis:
         return self.whitening.condition
 
     @property
-    def whitened(self) -> WhitenedBasis:
+    def spacing_rad(self) -> float:
+        """Angle between samples that integrate any of the functions: a quarter of its width."""
+        return float(0.25 / np.sqrt(self.bandwidth))
+
+    @property
+    def functions(self) -> WhitenedBasis:
         """What evaluates the whitened functions."""
         return WhitenedBasis(self.centres, self.bandwidth, self.whitening.inv_sqrt_gram)
 
@@ -212,7 +231,7 @@ class SrbfBasis:
         self, directions: Float64[F64, "dirs 3"]
     ) -> Float64[F64, "dirs coeffs"]:
         """Tabulate the whitened basis, see `WhitenedBasis`."""
-        return self.whitened.reconstruction_matrix(directions)
+        return self.functions.reconstruction_matrix(directions)
 
     def projection(
         self,
@@ -220,15 +239,9 @@ class SrbfBasis:
         weights: Float64[F64, " dirs"],
         *,
         ridge: float = RIDGE,
-    ) -> SrbfProjection:
-        """Prepare the regularised least-squares projection of samples, see `SrbfProjection`."""
+    ) -> LeastSquaresProjection:
+        """Prepare the regularised least-squares projection of samples."""
         return project(self.reconstruction_matrix(directions), weights, ridge=ridge)
-
-    def projection_matrix(
-        self, directions: Float64[F64, "dirs 3"], weights: Float64[F64, " dirs"]
-    ) -> Float64[F64, "dirs coeffs"]:
-        """Matrix that takes samples to whitened coefficients: ``t = samples @ matrix``."""
-        return self.projection(directions, weights).matrix
 
     def light_from_radiance(
         self,

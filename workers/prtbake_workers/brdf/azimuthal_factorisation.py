@@ -30,7 +30,7 @@ class AzimuthalFactorisation(Factorisation):
         The same at nodes, see `RadialTable`.
     """
 
-    TABLE_ARRAYS: ClassVar = (
+    TABLE_ARRAYS: ClassVar[tuple[str, ...]] = (
         "orders",
         "parity",
         "psi_radial",

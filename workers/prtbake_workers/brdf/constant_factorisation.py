@@ -37,3 +37,10 @@ def constant_factorisation(
         is_constant_phi=True,
         brdf=brdf,
     )
+
+
+def is_constant(blocks: Float64[F64, "orders theta theta channels"]) -> bool:
+    """Tell a constant BRDF by its azimuthal orders on a grid, see `azimuthal_blocks`."""
+    scale = CONSTANT_TOLERANCE * blocks[0].max(axis=(0, 1))
+    level = (np.ptp(blocks[0], axis=(0, 1)) <= scale).all()
+    return bool(level and (np.abs(blocks[1:]).max(axis=(0, 1, 2)) <= scale).all())

@@ -11,7 +11,7 @@ from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.choose_terms import choose_units, signs
-from prtbake_workers.brdf.constant_factorisation import CONSTANT_TOLERANCE, constant_factorisation
+from prtbake_workers.brdf.constant_factorisation import constant_factorisation, is_constant
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise_oriented import factorise_oriented
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
@@ -93,7 +93,7 @@ def _factorise(
     n_nodes: int,
 ) -> Factorisation:
     blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
-    if _is_constant(blocks):
+    if is_constant(blocks):
         return constant_factorisation(blocks[0][0, 0] / (2.0 * np.pi), grid, brdf, n_terms, n_nodes)
 
     left, values, right = _decompose(blocks, grid)
@@ -152,12 +152,6 @@ def _check_isotropy(brdf: Brdf) -> None:
 def _directions(theta: Float64[F64, " n"], phi: Float64[F64, " n"]) -> Float64[F64, "n 3"]:
     sine = np.sin(theta)
     return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
-
-
-def _is_constant(blocks: Float64[F64, "orders theta theta channels"]) -> bool:
-    scale = CONSTANT_TOLERANCE * blocks[0].max(axis=(0, 1))
-    level = (np.ptp(blocks[0], axis=(0, 1)) <= scale).all()
-    return bool(level and (np.abs(blocks[1:]).max(axis=(0, 1, 2)) <= scale).all())
 
 
 def _squared_norm(brdf: Brdf, grid: HemisphereGrid) -> float:

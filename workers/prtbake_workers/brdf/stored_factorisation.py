@@ -6,13 +6,16 @@ from typing import Any
 from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.brdf.harmonic_factorisation import HarmonicFactorisation
 from prtbake_workers.brdf.oriented_factorisation import OrientedFactorisation
 
 
 def factorisation_from_tables(
     tables: Mapping[str, Any], *, brdf: Brdf | None = None
 ) -> Factorisation:
-    """Rebuild a factorisation from `Factorisation.tables`; parities tell an anisotropic one.
+    """Rebuild a factorisation from `Factorisation.tables`.
+
+    Parities tell an anisotropic one, coefficients of the views one in harmonics.
 
     Raises
     ------
@@ -21,4 +24,6 @@ def factorisation_from_tables(
     """
     if "parities" in tables:
         return OrientedFactorisation.from_tables(tables, brdf=brdf)
+    if "view_coefficients" in tables:
+        return HarmonicFactorisation.from_tables(tables, brdf=brdf)
     return AzimuthalFactorisation.from_tables(tables, brdf=brdf)

@@ -18,9 +18,9 @@ from prtbake_workers.geometry.ray_offset import ray_epsilon, self_hit_count
 from prtbake_workers.jobs import bounce, plan, scattering
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
-    centres_and_bandwidth,
     read_projection,
     read_scene,
+    stored_basis,
 )
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.transport.bake import bake_block
@@ -173,14 +173,12 @@ def join(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 factorisation=factorisation.tables(),
             )
         )
-    centres, bandwidth = centres_and_bandwidth(bake)
     header = TransferHeader(
         positions=scene.positions,
         faces=scene.faces,
         normals=scene.normals,
         uv=None if scene.uv is None else np.nan_to_num(scene.uv),
-        centres=centres,
-        bandwidth=bandwidth,
+        basis=stored_basis(bake),
         parts=tuple(parts),
         provenance=planned.header["provenance"] | {"bake": bake},
     )

@@ -110,7 +110,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                     "medium",
                     n_verts=part.n_vertices,
                     n_terms=part.n_terms,
-                    n_coeffs=len(header.centres),
+                    n_coeffs=header.basis.n_coeffs,
                     n_channels=part.n_channels,
                     singular_values=spectrum_of(part),
                 )
@@ -133,7 +133,7 @@ def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
     """Read all whitened coefficients of a part as float32 (verts, rows, coeffs)."""
     with open_transfer(path) as transfer:
         own = transfer.header.parts[part]
-        n_coeffs = len(transfer.header.centres)
+        n_coeffs = transfer.header.basis.n_coeffs
         coefficients = np.zeros((own.n_vertices, own.n_rows, n_coeffs), np.float32)
         for start in range(0, own.n_vertices, READ_VERTS):
             stop = min(start + READ_VERTS, own.n_vertices)
@@ -279,8 +279,7 @@ def make_asset(
         normals=header.normals.astype(np.float32),
         uv=None if header.uv is None else header.uv.astype(np.float32),
         parts=parts,
-        centres=header.centres,
-        bandwidth=header.bandwidth,
+        basis=header.basis,
         provenance=dict(header.provenance)
         | {"transfer": source, "compress": compress | {"versions": versions()}},
     )

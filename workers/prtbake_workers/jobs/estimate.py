@@ -15,6 +15,7 @@ from prtbake_storage.contract.jobs import (
     job_request_adapter,
 )
 from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
+from prtbake_storage.decode.transfer_basis import SphericalHarmonics, TransferBasis
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
@@ -137,7 +138,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
     """Predict from the header of the transfer."""
     with open_transfer(store.local_path(given["artefacts"]["transfer"]["digest"])) as transfer:
         header = transfer.header
-    bake = PlannedBake.model_validate({"n_centres": len(header.centres)})
+    bake, n_coeffs = _bake_of(header.basis), header.basis.n_coeffs
     plan: dict[str, Any] = {"kind": "compress", "parts": []}
     costs = []
     for part in header.parts:
@@ -146,7 +147,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
             "medium",
             n_verts=part.n_vertices,
             n_terms=part.n_terms,
-            n_coeffs=len(header.centres),
+            n_coeffs=n_coeffs,
             n_channels=part.n_channels,
             singular_values=spectrum_of(part),
         )
@@ -171,6 +172,13 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
         peak_memory_bytes=compress_memory_bytes(costs),
         errors={},
     )
+
+
+def _bake_of(basis: TransferBasis) -> PlannedBake:
+    """Give settings whose basis has as many functions."""
+    if isinstance(basis, SphericalHarmonics):
+        return PlannedBake(basis="sh", sh_order=basis.order)
+    return PlannedBake.model_validate({"n_centres": basis.n_coeffs})
 
 
 def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStore) -> Estimate:

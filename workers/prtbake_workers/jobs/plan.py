@@ -10,9 +10,11 @@ from prtbake_storage.contract.settings import BakeSettings, Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
+from prtbake_workers.basis.hemisphere_basis import HemisphereBasis
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
@@ -106,13 +108,9 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         two_sided=tuple(part.two_sided for part in parts),
     )
     requested = Effects.model_validate(args["effects"])
-    n_terms = 1 if requested.view_dependence == "off" else settings.bake.n_terms
-    factorisations = _factorise_all(
-        [json.dumps(part.brdf, sort_keys=True) for part in parts],
-        brdfs,
-        n_terms,
-        settings.bake.term_energy_lost if n_terms is None else None,
-    )
+    specs = [json.dumps(part.brdf, sort_keys=True) for part in parts]
+    view_dependent = requested.view_dependence != "off"
+    factorisations = _factorise_all(specs, brdfs, settings.bake, view_dependent=view_dependent)
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     accelerator = Accelerator(scene.positions, scene.traced_faces)
     media = [None if part.subsurface is None else make_dipole(part.subsurface) for part in parts]
@@ -269,14 +267,24 @@ def _term_notes(names: Sequence[str], factorisations: Sequence[Factorisation]) -
 
 
 def _factorise_all(
-    specs: Sequence[str], brdfs: Sequence[Brdf], n_terms: int | None, energy_lost: float | None
+    specs: Sequence[str], brdfs: Sequence[Brdf], bake: BakeSettings, *, view_dependent: bool
 ) -> tuple[Factorisation, ...]:
     """Factorise the BRDF of every part; parts may share one, and differ in the rest alone."""
     found: dict[str, Factorisation] = {}
     for spec, brdf in zip(specs, brdfs, strict=True):
         if spec not in found:
-            found[spec] = factorise(brdf, n_terms=n_terms, energy_lost=energy_lost)
+            found[spec] = _factorise(brdf, bake, view_dependent=view_dependent)
     return tuple(found[spec] for spec in specs)
+
+
+def _factorise(brdf: Brdf, bake: BakeSettings, *, view_dependent: bool) -> Factorisation:
+    """Factorise as the settings say; without view dependence by the best single product."""
+    if not view_dependent:
+        return factorise(brdf, n_terms=1)
+    if bake.view_order is not None:
+        return factorise_harmonic(brdf, bake.view_order, HemisphereBasis(bake.view_order).kept)
+    energy_lost = bake.term_energy_lost if bake.n_terms is None else None
+    return factorise(brdf, n_terms=bake.n_terms, energy_lost=energy_lost)
 
 
 REPAIRS = {
@@ -301,7 +309,7 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     basis = planned.basis()
     directions = cube_directions(planned.header["bake"]["cube_resolution"])
     projection = basis.projection(directions.directions, directions.weights)
-    projected = write_projection(context.scratch / "projection.h5", projection, basis.whitened)
+    projected = write_projection(context.scratch / "projection.h5", projection, basis.functions)
     path = write_scene(context.scratch / "scene.h5", planned)
     return {
         "scene": context.store.put_file(path, move=True),
@@ -314,5 +322,10 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
         },
         "condition": basis.condition,
+        "transfer": {
+            "basis": basis.stored.kind,
+            "coefficients": basis.n,
+            "factorisation": planned.header["bake"]["factorisation"],
+        },
         "settings": args["settings"] | {"bake": planned.header["bake"]},
     }

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from prtbake_storage.contract.settings import RenderSettings
-from prtbake_storage.decode.relight import rotation_matrix, whitened_light
-from prtbake_storage.decode.srbf import whitening
+from prtbake_storage.decode.relight import project_light, rotation_matrix
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.queue.context import TaskContext
@@ -48,7 +47,6 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     settings = RenderSettings.model_validate(args["settings"])
     asset = read_asset(context.store.local_path(args["asset"]))
     light = read_light(context.store.local_path(args["light"]))
-    roots = whitening(asset.centres, asset.bandwidth)
     base = rotation_matrix(settings.rotation_deg)
     frames = settings.turntable_frames
     total = len(settings.cameras) + frames
@@ -57,7 +55,7 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     width, height = settings.width, settings.height
     views = [pinhole(camera, width, height, bounds) for camera in settings.cameras]
     with open_renderer(asset, settings.backend) as renderer:
-        renderer.set_light(whitened_light(asset, light, base, roots=roots))
+        renderer.set_light(project_light(asset.basis, light, base))
         exposure = settings.exposure
         for camera, view in zip(settings.cameras, views, strict=True):
             picture = renderer.render(view, width, height, samples=SAMPLES)
@@ -84,7 +82,7 @@ def render(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         def turntable() -> Iterator[U8]:
             for frame in range(frames):
                 turn = rotation_matrix((0.0, 360.0 * frame / frames, 0.0))
-                renderer.set_light(whitened_light(asset, light, turn @ base, roots=roots))
+                renderer.set_light(project_light(asset.basis, light, turn @ base))
                 picture = renderer.render(views[0], width, height, samples=SAMPLES)
                 shown = exposure or auto_exposure(picture.radiance, picture.coverage)
                 yield to_srgb8(picture.radiance, shown)

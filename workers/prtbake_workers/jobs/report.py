@@ -57,6 +57,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         "previews": results["render"][0]["pictures"] if "render" in results else [],
         "renderer": results["render"][0]["renderer"] if "render" in results else None,
         "numerics": _numerics(results),
+        "transfer": results["plan"][0].get("transfer") if "plan" in results else None,
         "bounces": bounce.account(results, plan) if plan else None,
         "bounce_notes": bounce.scattering_notes(results, plan) + bounce.notes(results, plan)
         if plan
@@ -114,7 +115,8 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             counters[name] = counters.get(name, 0) + value
     counters |= args["bounce_counters"]
     names = [part["name"] for part in plan["parts"]]
-    notes = [*plan["notes"], *large_errors(args["stages"], names)]
+    basis = (args["transfer"] or {}).get("basis", "srbf")
+    notes = [*plan["notes"], *large_errors(args["stages"], names, basis)]
     for part in args["compressed"]:
         notes += part["notes"]
     notes += args["bounce_notes"]
@@ -138,6 +140,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         renderer=args["renderer"],
         counters=counters,
         numerics=args["numerics"],
+        transfer=args["transfer"],
         bounces=args["bounces"],
         settings=args["settings"],
         notes=notes,
@@ -163,19 +166,24 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 LARGE_ERROR = 0.1
 """Squared-error ratio of a stage's own from which the report says so: a third of the radiance."""
 
+BASIS_REMEDIES = {
+    "srbf": "SRBFs leave {:.0%} of its transport: more n_centres, or a higher quality",
+    "sh": "spherical harmonics leave {:.0%} of its transport: a higher sh_order or quality, or "
+    "basis srbf",
+}
 REMEDIES = {
-    "bake": "SRBFs leave {:.0%} of its transport: more n_centres, or a higher quality",
     "compress": "clusters and ranks leave {:.0%} of its transfer: more n_clusters, higher ranks, "
     "or a higher quality",
 }
 
 
-def large_errors(stages: list[dict[str, Any]], names: list[str]) -> list[str]:
+def large_errors(stages: list[dict[str, Any]], names: list[str], basis: str = "srbf") -> list[str]:
     """Point to parts that a stage lost much of: a brighter part may hide it in the pictures."""
+    remedies = REMEDIES | {"bake": BASIS_REMEDIES[basis]}
     return [
-        f"{name}: {REMEDIES[stage['name']].format(error)}"
+        f"{name}: {remedies[stage['name']].format(error)}"
         for stage in stages
-        if stage["name"] in REMEDIES
+        if stage["name"] in remedies
         for name, error in stage["errors"].items()
         if error > LARGE_ERROR and name in names
     ]
@@ -217,5 +225,6 @@ def summary(results: Results) -> dict[str, Any]:
     (written,) = results["report"]
     report = written["report"]
     names = ("summary", "errors", "budget", "bytes", "seconds", "effects", "metrics", "parts",
-             "peak_memory_bytes", "renderer", "numerics", "counters", "notes")  # fmt: skip
+             "peak_memory_bytes", "renderer", "transfer", "numerics", "counters",
+             "notes")  # fmt: skip
     return {name: report[name] for name in names}

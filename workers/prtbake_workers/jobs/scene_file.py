@@ -8,10 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prtbake_storage.decode.transfer_basis import SphericalHarmonics, TransferBasis, WhitenedSrbfs
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
-from prtbake_workers.arrays import F32, F64, Float32
-from prtbake_workers.basis.projection import SrbfProjection
-from prtbake_workers.basis.srbf import SrbfBasis, WhitenedBasis, default_bandwidth
+from prtbake_workers.arrays import F32, Float32
+from prtbake_workers.basis.incident import (
+    IncidentBasis,
+    OrthonormalFunctions,
+    basis_of,
+    functions_from_tables,
+)
+from prtbake_workers.basis.projection import LeastSquaresProjection
+from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -41,8 +48,8 @@ class PlannedScene:
     colours: tuple[F32 | None, ...]
     header: Mapping[str, Any]
 
-    def basis(self) -> SrbfBasis:
-        """Make the SRBF basis of the bake settings."""
+    def basis(self) -> IncidentBasis:
+        """Make the basis of the bake settings."""
         return make_basis(self.header["bake"])
 
     def reflection(self) -> tuple[tuple[Factorisation, ...], Albedo]:
@@ -87,36 +94,37 @@ def reflection_of(
     return tuple(factorisations), albedo
 
 
-def centres_and_bandwidth(bake: Mapping[str, Any]) -> tuple[F64, float]:
+def stored_basis(bake: Mapping[str, Any]) -> TransferBasis:
     """Tell the functions that bake settings name, without solving for their Gram matrix."""
+    if bake["basis"] == "sh":
+        return SphericalHarmonics(bake["sh_order"])
     centres = icosphere(SUBDIVISIONS[bake["n_centres"]])
-    return centres, bake["bandwidth"] or default_bandwidth(len(centres))
+    return WhitenedSrbfs(centres, bake["bandwidth"] or default_bandwidth(len(centres)))
 
 
-def make_basis(bake: Mapping[str, Any]) -> SrbfBasis:
+def make_basis(bake: Mapping[str, Any]) -> IncidentBasis:
     """Make the basis that bake settings name."""
-    return SrbfBasis(*centres_and_bandwidth(bake))
+    return basis_of(stored_basis(bake))
 
 
 _PROJECTION_ARRAYS = ("matrix", "samples", "weights", "gram")
-_BASIS_ARRAYS = ("centres", "inv_sqrt_gram")
 
 
-def write_projection(path: Path, projection: SrbfProjection, basis: WhitenedBasis) -> Path:
+def write_projection(
+    path: Path, projection: LeastSquaresProjection, functions: OrthonormalFunctions
+) -> Path:
     """Write what every tile of a bake projects with, so that none solves for it again."""
-    arrays = {name: getattr(projection, name) for name in _PROJECTION_ARRAYS}
-    arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
-    header = {"ridge": projection.ridge, "bandwidth": basis.bandwidth}
-    return write_bundle(path, arrays, header, gzip_level=0)
+    arrays, numbers = functions.tables()
+    arrays |= {name: getattr(projection, name) for name in _PROJECTION_ARRAYS}
+    return write_bundle(path, arrays, numbers | {"ridge": projection.ridge}, gzip_level=0)
 
 
-def read_projection(path: Path) -> tuple[SrbfProjection, WhitenedBasis]:
-    """Read a projection and the basis that it is for."""
+def read_projection(path: Path) -> tuple[LeastSquaresProjection, OrthonormalFunctions]:
+    """Read a projection and the functions that it is for."""
     arrays, header = read_bundle(path)
-    basis = WhitenedBasis(
-        **{name: arrays.pop(name) for name in _BASIS_ARRAYS}, bandwidth=header["bandwidth"]
-    )
-    return SrbfProjection(**arrays, ridge=header["ridge"]), basis
+    projection = {name: arrays[name] for name in _PROJECTION_ARRAYS}
+    functions = functions_from_tables(arrays, header)
+    return LeastSquaresProjection(**projection, ridge=header["ridge"]), functions
 
 
 def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:

@@ -17,7 +17,7 @@ from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_tra
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32, F64, I64
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.incident import basis_of
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import view_texture
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -143,7 +143,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
                 zip(header.parts, delivered.parts, header.provenance["occluders"], strict=True)
             )
         ),
-        basis=SrbfBasis(header.centres, header.bandwidth),
+        basis=basis_of(header.basis),
         directions=cube_directions(bake["cube_resolution"]),
         supersample=bake["supersample"],
         relight_stored=relight_stored,

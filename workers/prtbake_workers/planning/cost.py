@@ -59,7 +59,7 @@ def bake_seconds_per_vertex(settings: PlannedBake, *, n_terms: int, shadows: boo
     """Predict the seconds one thread spends on one vertex (half of the directions count)."""
     n_dirs = 3 * settings.cube_resolution**2
     rays = n_dirs * settings.supersample**2 if shadows else 0
-    flops = 2.0 * n_dirs * n_terms * settings.n_centres * 1.2
+    flops = 2.0 * n_dirs * n_terms * settings.n_coeffs * 1.2
     return (
         rays / RAYS_PER_SECOND
         + flops / FLOPS_PER_SECOND
@@ -75,7 +75,7 @@ def tile_vertices(
         wanted = float(settings.tile_vertices)
     else:
         seconds = bake_seconds_per_vertex(settings, n_terms=n_terms, shadows=shadows)
-        vertex_bytes = 4 * n_channels * n_terms * settings.n_centres
+        vertex_bytes = 4 * n_channels * n_terms * settings.n_coeffs
         wanted = min(TILE_SECONDS / seconds, TILE_BYTES / vertex_bytes, 16384)
     return chunk * max(1, int(wanted // chunk))
 
@@ -86,7 +86,7 @@ def plan_memory_bytes(bake: PlannedBake, *, oriented: bool = False, probed: bool
     ``oriented`` tells that a BRDF is anisotropic, which is factorised before; ``probed`` that
     planning chose directions or centres.
     """
-    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
+    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
     solving = 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
     before = max(ORIENTED_BYTES if oriented else 0, PROBE_BYTES if probed else 0)
     return CHILD_BYTES + max(solving, before)
@@ -94,7 +94,7 @@ def plan_memory_bytes(bake: PlannedBake, *, oriented: bool = False, probed: bool
 
 def tile_memory_bytes(bake: PlannedBake, *, n_terms: int, n_verts: int) -> int:
     """Predict the peak memory of a tile, without the scene: what it reads, makes and packs."""
-    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_centres
+    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
     # basis and projection in float64, in float32, and every thread's share of the latter
     projection = (8 + 8 + 4 + 4 * bake.threads) * n_dirs * n_coeffs + 32 * n_coeffs**2
     values = n_verts * n_terms * n_coeffs
@@ -116,7 +116,7 @@ def part_cost(
     ``n_channels`` 3 stores and compresses three times the rows; the rays and the projection of
     direct light stay those of one.
     """
-    n_coeffs = bake.n_centres
+    n_coeffs = bake.n_coeffs
     values = n_verts * n_channels * n_terms * n_coeffs
     view, light, vert = compression.ranks
     clusters = compression.n_clusters

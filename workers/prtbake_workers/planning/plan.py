@@ -47,7 +47,7 @@ from prtbake_workers.planning.scattering_cost import (
 )
 from prtbake_workers.transport.dipole import Dipole
 
-DIRECTIONS_A_CENTRE = 2.5
+DIRECTIONS_A_FUNCTION = 2.5
 """With fewer the sampled Gram matrix is off the identity by more than 0.05 (RMS over the basis)."""
 
 BLOCK_BYTES = 256 << 20
@@ -151,29 +151,29 @@ def check_bandwidth(bake: BakeSettings) -> None:
     """
     if bake.bandwidth is None or not isinstance(bake.n_centres, int):
         return
-    most = MOST_BANDWIDTH * default_bandwidth(bake.n_centres)
-    if bake.bandwidth > most:
+    default = default_bandwidth(bake.n_centres)
+    if bake.bandwidth > MOST_BANDWIDTH * default:
         raise SettingsError(
             f"bandwidth {bake.bandwidth:g} is too large for {bake.n_centres} centres, which leave "
-            f"holes between them: at most {most:g}, the default is "
-            f"{default_bandwidth(bake.n_centres):g}",
+            f"holes between them: at most {MOST_BANDWIDTH * default:g}, the default is {default:g}",
             pointer="/settings/bake/bandwidth",
         )
 
 
-def resolves(cube_resolution: int, n_centres: int) -> bool:
+def resolves(cube_resolution: int, n_functions: int) -> bool:
     """Tell whether the directions are enough to tell the basis functions apart."""
-    return 6 * cube_resolution**2 >= DIRECTIONS_A_CENTRE * n_centres
+    return 6 * cube_resolution**2 >= DIRECTIONS_A_FUNCTION * n_functions
 
 
 def resolution_notes(bake: PlannedBake) -> list[str]:
     """Say so where the directions are too few to tell the basis functions apart."""
-    if resolves(bake.cube_resolution, bake.n_centres):
+    if resolves(bake.cube_resolution, bake.n_coeffs):
         return []
+    functions = "SRBFs" if bake.basis == "srbf" else "spherical harmonics"
     return [
-        f"{6 * bake.cube_resolution**2} directions do not resolve {bake.n_centres} SRBFs: the "
+        f"{6 * bake.cube_resolution**2} directions do not resolve {bake.n_coeffs} {functions}: the "
         "projection fits its samples and errs between them; "
-        f"{DIRECTIONS_A_CENTRE:g} directions a centre are the least"
+        f"{DIRECTIONS_A_FUNCTION:g} directions a function are the least"
     ]
 
 
@@ -210,13 +210,13 @@ def plan_bounces(
         later_rays=later,
         hit_share=by_name["interreflection"].evidence["hit_share"],
         n_channels=n_channels,
-        n_coeffs=bake.n_centres,
+        n_coeffs=bake.n_coeffs,
         n_blocks=1,
     )
     # every block casts the rays anew: two are worth it where there is work for two
     least = 2 if media or seconds > TILE_SECONDS else 1
-    n_blocks = max(min(least, bake.n_centres), -(-bake.n_centres // fitting))
-    edges = [round(i * bake.n_centres / n_blocks) for i in range(n_blocks + 1)]
+    n_blocks = max(min(least, bake.n_coeffs), -(-bake.n_coeffs // fitting))
+    edges = [round(i * bake.n_coeffs / n_blocks) for i in range(n_blocks + 1)]
     return BouncePlan(
         n_channels=n_channels,
         coloured=coloured,
@@ -279,7 +279,7 @@ def make_plan(
             quality,
             n_verts=stop - start,
             n_terms=n_terms,
-            n_coeffs=bake.n_centres,
+            n_coeffs=bake.n_coeffs,
             n_channels=n_channels,
             singular_values=spectra[index],
         )
@@ -287,7 +287,7 @@ def make_plan(
             bake,
             n_terms=n_terms,
             shadows=bool(occluders),
-            chunk=chunk_vertices(n_channels * n_terms, bake.n_centres),
+            chunk=chunk_vertices(n_channels * n_terms, bake.n_coeffs),
             n_channels=n_channels,
         )
         parts.append(
@@ -351,7 +351,7 @@ def make_plan(
             decided,
             scattering,
             medium_channels={part: own.n_channels for part, own in media.items()},
-            n_coeffs=bake.n_centres,
+            n_coeffs=bake.n_coeffs,
         )
         seconds |= added_seconds
         memory |= added_memory

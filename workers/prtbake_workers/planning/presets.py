@@ -8,6 +8,7 @@ scene; that of interpolating between vertices, which no setting here changes, of
 """
 
 from dataclasses import dataclass, replace
+from math import isqrt
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,7 +33,12 @@ class PlannedBake(BakeSettings):
     """Settings of a bake whose numbers of directions and functions are no longer open."""
 
     cube_resolution: Annotated[int, Field(ge=2, le=128)] = 32
-    n_centres: CentreCount = 642
+    n_centres: CentreCount | None = Field(default=None, validate_default=True)
+
+    @property
+    def n_coeffs(self) -> int:
+        """Functions of the basis."""
+        return int(self.n_centres or 0) if self.sh_order is None else self.sh_order**2
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,13 @@ LADDER: dict[Quality, Step] = {
 def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
     """Lay the fields a request gives over the quality's step."""
     step = LADDER[quality]
-    bake = step.bake | overrides.bake
+    bake = dict(step.bake)
+    if overrides.bake.get("basis") == "sh":
+        # the largest order with no more functions than the step has centres
+        bake["sh_order"] = isqrt(bake.pop("n_centres"))
+    if overrides.bake.get("factorisation") == "sh":
+        del bake["term_energy_lost"]
+    bake |= overrides.bake
     if "n_terms" in overrides.bake and "term_energy_lost" not in overrides.bake:
         bake.pop("term_energy_lost", None)
     return StageSettings(

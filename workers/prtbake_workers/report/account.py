@@ -129,6 +129,7 @@ def make_report(
     counters: Mapping[str, int | float] | None = None,
     numerics: Mapping[str, Any] | None = None,
     bounces: Mapping[str, Any] | None = None,
+    transfer: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""
@@ -173,6 +174,7 @@ def make_report(
         "metrics": [{"picture": view["picture"], **view["metrics"]} for view in views],
         "renderer": dict(renderer) if renderer else None,
         "counters": dict(counters or {}),
+        "transfer": dict(transfer) if transfer else None,
         "numerics": dict(numerics or {}),
         "settings": dict(settings or {}),
         "notes": list(notes),

@@ -1,4 +1,4 @@
-"""Direct light transport of a block of vertices, projected on whitened SRBFs."""
+"""Direct light transport of a block of vertices, projected on an orthonormal basis."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64
-from prtbake_workers.basis.projection import SrbfProjection
+from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
@@ -45,7 +45,7 @@ class BakedBlock:
     Attributes
     ----------
     coefficients
-        Whitened coefficients of every term.
+        Coefficients of every term.
     signal_energy, residual_energy
         Squared radiance norm of the transport of each vertex, and of what the projection lost of
         it: over the sphere of incident light and, phi being orthonormal, over cosine-weighted
@@ -105,7 +105,7 @@ def bake_block(
     vertex_range: tuple[int, int],
     *,
     factorisation: Factorisation,
-    projection: SrbfProjection,
+    projection: LeastSquaresProjection,
     directions: CubeDirections,
     supersample: int = 1,
     shadows: bool = True,
@@ -114,7 +114,7 @@ def bake_block(
 ) -> BakedBlock:
     """Bake ``T_k(w) = psi_k(w_local) V(w) max(0, n . w)`` for a block of vertices.
 
-    [Tsai2006]_ eq. (9) at the texel centres of a cube map, projected on the whitened basis.
+    [Tsai2006]_ eq. (9) at the texel centres of a cube map, projected on the basis.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def bake_block(
     factorisation
         The part's BRDF.
     projection
-        Of the basis at ``directions``, see `SrbfBasis.projection`.
+        Of the basis at ``directions``, see `IncidentBasis.projection`.
     directions
         Where transport is sampled.
     supersample
@@ -219,7 +219,7 @@ class _Baker:
         origins: Float32[F32, "verts 3"],
         frames: Float64[F64, "verts 3 3"],
         factorisation: Factorisation,
-        projection: SrbfProjection,
+        projection: LeastSquaresProjection,
         sampling: Sampling,
     ) -> None:
         self.accelerator = accelerator

@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
-from prtbake_workers.basis.srbf import WhitenedBasis
+from prtbake_workers.basis.incident import OrthonormalFunctions
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -31,7 +31,7 @@ def held_out_energies(
     coefficients: Float32[F32, "verts terms coeffs"],
     *,
     factorisation: Factorisation,
-    basis: WhitenedBasis,
+    basis: OrthonormalFunctions,
     seed: int,
 ) -> tuple[float, float]:
     """Estimate the squared norms of a block's transport and of what its coefficients miss of it.

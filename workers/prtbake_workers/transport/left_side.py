@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
-from prtbake_workers.basis.projection import SrbfProjection
+from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.transport.visibility import visible_fraction
@@ -36,7 +36,7 @@ class Sampling:
     matrix: Float32[F32, "dirs coeffs"]
 
     @classmethod
-    def of(cls, directions: F64, samples: F32, projection: SrbfProjection) -> "Sampling":
+    def of(cls, directions: F64, samples: F32, projection: LeastSquaresProjection) -> "Sampling":
         """Convert to float32 once; ``samples`` as from `padded_directions`."""
         roots = np.sqrt(projection.weights)
         return cls(

@@ -1,12 +1,12 @@
 """The chain of pictures from the brute-force reference to the delivered asset.
 
-reference -> K terms -> BRDF tables -> vertex interpolation -> visibility sampling -> SRBF basis
+reference -> K terms -> BRDF tables -> vertex interpolation -> visibility sampling -> basis
 -> 16-bit transfer -> light fit -> compression -> 16-bit factors
 
-With bounces, the pictures up to the SRBF basis all hold the same indirect light, pass by pass, of
+With bounces, the pictures up to the basis all hold the same indirect light, pass by pass, of
 the path tracer; it cancels in their differences.  The stored transfer holds the bounces of the
 bake, so what those lack falls into its line.  So does all that differs where a part scatters light
-inside: there the pictures up to the SRBF basis are the path tracer's.
+inside: there the pictures up to the basis are the path tracer's.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_storage.contract.settings import Camera, ValidateSettings
-from prtbake_storage.decode.relight import whitened_light
+from prtbake_storage.decode.relight import project_light
 from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.environment.sampling import EnvironmentSampler
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -36,6 +36,9 @@ from prtbake_workers.validation.shading import with_plain_terms
 MERGED_LINE = "compression and 16-bit factors"
 """Where the asset before its quantisation is not at hand."""
 
+BASIS_LINES = {"srbf": "SRBF basis", "sh": "SH basis"}
+"""By the kind of the basis that transfer was projected on."""
+
 STORED_LINE = "16-bit transfer"
 BOUNCED_LINE = "bounces and 16-bit transfer"
 """In place of `STORED_LINE` where transfer was baked with bounces."""
@@ -53,7 +56,8 @@ MEANINGS = {
     "BRDF tables": "the products' factors read from tables and a texture",
     "vertex interpolation": "light gathered at vertices, colours interpolated between them",
     "visibility sampling": "visibility known in the bake's own directions only",
-    "SRBF basis": "transport projected on spherical radial basis functions",
+    BASIS_LINES["srbf"]: "transport projected on spherical radial basis functions",
+    BASIS_LINES["sh"]: "transport projected on spherical harmonics",
     STORED_LINE: "coefficients as the transfer file holds them",
     BOUNCED_LINE: "bounces as the bake gathered them, cut where it stopped, in place of the "
     "reference's, and coefficients as the transfer file holds them",
@@ -66,14 +70,17 @@ MEANINGS = {
 }
 """What each picture of the chain adds over the one before it."""
 
-LINES = tuple(name for name in MEANINGS if name not in (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE))
+_IN_PLACE = (BOUNCED_LINE, UNBOUNCED_LINE, MERGED_LINE, BASIS_LINES["sh"])
+"""What stands in place of others."""
+
+LINES = tuple(name for name in MEANINGS if name not in _IN_PLACE)
 
 _INSIDE = {
     SCATTERED: "light scattered inside by the bake's operator, between vertices and from its own "
-    "directions and SRBFs, in place of the reference's",
+    "directions and basis, in place of the reference's",
     UNSCATTERED: "light that leaves a medium where it fell, as the bake left its scattering out",
     PARTLY_SCATTERED: "light scattered inside by the bake's operator, between vertices and from "
-    "its own directions and SRBFs, or left where it fell on parts that the bake chose",
+    "its own directions and basis, or left where it fell on parts that the bake chose",
 }
 
 
@@ -205,7 +212,8 @@ def line_names(validation: ValidationScene, n_bounces: int) -> tuple[str, ...]:
             inside = SCATTERED if scattered == {True} else UNSCATTERED
         stored = with_scattering(inside, stored)
     names = MERGED_LINES if validation.exact is None else LINES
-    return tuple(stored if name == STORED_LINE else name for name in names)
+    own = {STORED_LINE: stored, BASIS_LINES["srbf"]: BASIS_LINES[validation.basis.stored.kind]}
+    return tuple(own.get(name, name) for name in names)
 
 
 def _monte_carlo_pictures(
@@ -243,9 +251,8 @@ def _sampled_pictures(
 ) -> list[list[Float64[F64, "one hits 3"]]]:
     """Render from sampled visibility to the light fit, with one pass over rays and file."""
     basis, directions = validation.basis, validation.directions
-    projection = basis.projection_matrix(directions.directions, directions.weights)
-    spacing = 0.25 / np.sqrt(basis.bandwidth)
-    texels, solid_angles, radiance = subdivided_texels(validation.environment, spacing)
+    projection = basis.projection(directions.directions, directions.weights).matrix
+    texels, solid_angles, radiance = subdivided_texels(validation.environment, basis.spacing_rad)
     lights = [
         basis.light_from_radiance(texels @ rotation.T, solid_angles, radiance)
         for rotation in rotations
@@ -282,6 +289,5 @@ def _rgb(index: int) -> slice:
 def fitted_light(
     validation: ValidationScene, rotation: Float64[F64, "3 3"]
 ) -> Float64[F64, "coeffs 3"]:
-    """Whiten the fitted light, turned."""
-    roots = validation.basis.whitening
-    return whitened_light(validation.finest, validation.light, rotation, roots=roots)
+    """Project the fitted light, turned."""
+    return project_light(validation.basis.stored, validation.light, rotation)

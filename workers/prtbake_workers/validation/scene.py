@@ -8,7 +8,7 @@ import numpy as np
 
 from prtbake_storage.decode.asset import Asset, LightFit
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.incident import IncidentBasis
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.environment.environment import Environment
@@ -48,7 +48,7 @@ class ValidationScene:
     scene: Scene
     accelerator: Accelerator
     parts: tuple[ValidationPart, ...]
-    basis: SrbfBasis
+    basis: IncidentBasis
     directions: CubeDirections
     supersample: int
     relight_stored: Callable[

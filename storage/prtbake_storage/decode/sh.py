@@ -4,18 +4,23 @@ from functools import lru_cache
 from math import isqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F64, Float64
+
+F64 = NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-6
 """What a direction's length may differ from 1: float32 gives 1e-7; more is no unit vector."""
+
+MOST_ORDER = 100
+"""Of a basis that transfer is projected on: 10,000 functions, evaluated to 1e-13."""
 
 CACHED_VALUES = 8192
 """Values of one degree evaluated at once: what a pass works on stays in the cache."""
 
 
-def eval_sh(order: int, directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dirs coeffs"]:
+def eval_sh(order: int, directions: F64) -> F64:
     """Evaluate the real spherical harmonics of the degrees below ``order``.
 
     ``y_lm = N_lm P_l^|m|(z) (sqrt(2) cos m phi | 1 | sqrt(2) sin |m| phi)`` for m > 0, = 0, < 0,
@@ -26,12 +31,12 @@ def eval_sh(order: int, directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dir
     order
         n >= 1: n^2 functions, degrees 0 to n - 1.
     directions
-        Unit vectors; in a local frame z is the normal.
+        (dirs, 3) unit vectors; in a local frame z is the normal.
 
     Returns
     -------
     ndarray
-        Column l (l + 1) + m holds y_lm.  The columns are contiguous, not the rows.
+        (dirs, order^2); column l (l + 1) + m holds y_lm.  The columns are contiguous, not the rows.
 
     Raises
     ------
@@ -55,9 +60,8 @@ def eval_sh(order: int, directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dir
     return values.T
 
 
-def _evaluate(
-    order: int, unit: Float64[F64, "3 dirs"], values: Float64[F64, "coeffs dirs"]
-) -> None:
+def _evaluate(order: int, unit: F64, values: F64) -> None:
+    """Fill ``values`` (coeffs, dirs) from the components (3, dirs) of unit vectors."""
     x, y, z = unit
     cosines, sines = _sectors(order, x, y)
     now, before = np.zeros((2, order, len(z)))
@@ -94,7 +98,7 @@ def order_of(n_coeffs: int) -> int:
     return order
 
 
-def _unit(order: int, directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dirs 3"]:
+def _unit(order: int, directions: F64) -> F64:
     check_order(order)
     norms = np.sqrt(np.einsum("ij,ij->i", directions, directions))
     near = np.abs(norms - 1.0) < UNIT_TOLERANCE
@@ -104,7 +108,7 @@ def _unit(order: int, directions: Float64[F64, "dirs 3"]) -> Float64[F64, "dirs 
     return np.asarray(directions / norms[:, None])
 
 
-def _sectors(order: int, x: Float64[F64, " dirs"], y: Float64[F64, " dirs"]) -> F64:
+def _sectors(order: int, x: F64, y: F64) -> F64:
     """Give sqrt(2) Re and Im of (x + i y)^m; 1 and 0 for m = 0."""
     powers = np.empty((order, len(x)), dtype=np.complex128)
     powers[0] = np.sqrt(2.0)
