@@ -51,7 +51,8 @@ def first_bounce(baked, n_rays, seed):
     n_rays = np.broadcast_to(n_rays, len(direct)).tolist()
     return bounce_block(
         surface, direct, factorisations=[DIFFUSE] * len(direct), albedo=WHITE, n_channels=1,
-        n_rays=n_rays, seed=seed, max_bounces=1, tolerance=0.0, smooth=False,
+        n_rays=n_rays, seed=seed, max_bounces=1, tolerance=0.0,
+        rounds=[0] * len(direct),
     )  # fmt: skip
 
 

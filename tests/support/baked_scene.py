@@ -48,8 +48,11 @@ class BakedScene:
     basis: Any
     settings: Any
 
-    def relight(self, light, *, bounces=True):
-        """What every part's vertices gather of columns of whitened light, (verts, terms, columns)."""
+    def relight(self, light, *, bounces=True, rounds=None):
+        """What every part's vertices gather of columns of whitened light, (verts, terms, columns).
+
+        A job measures the rounds of means over neighbours on coefficients, not on this light.
+        """
         lit = [
             np.concatenate([tile.dequantised() @ light for tile in tiles]).astype(np.float32)
             for tiles in self.direct
@@ -65,6 +68,7 @@ class BakedScene:
             factorisations=factorisations, albedo=albedo, n_channels=3,
             n_rays=[self.settings.bounce_rays] * n_parts, seed=SEED,
             max_bounces=self.settings.max_bounces, tolerance=self.settings.bounce_tolerance,
+            rounds=rounds,
         )  # fmt: skip
         # column j has colour j mod 3, and meets the channel of that colour
         columns = np.arange(light.shape[1])

@@ -60,7 +60,7 @@ def test_diffuse_bounces_are_the_series_of_the_sparse_operator(surface, diffuse,
     scene, albedo = surface.scene, Albedo.constant(*colour)
     direct = positive(scene, [diffuse] * 2)
     found = bounced(
-        surface, direct, [diffuse] * 2, albedo, tolerance=0.0, max_bounces=12, smooth=False
+        surface, direct, [diffuse] * 2, albedo, tolerance=0.0, max_bounces=12, rounds=[0, 0]
     )
     operator = build_bounce_block(
         surface, (0, scene.n_vertices), albedo=albedo, n_rays=N_RAYS, seed=SEED

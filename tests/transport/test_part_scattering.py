@@ -85,7 +85,7 @@ def test_bounces_and_scattering_are_one_linear_system(surface, scattering, direc
     n, own = scene.n_vertices, scene.part_ranges[0][1]
     gathered = build_bounce_block(surface, (0, n), albedo=ALBEDO, n_rays=N_RAYS, seed=SEED)
     arriving = np.concatenate([one[:, 0] for one in direct]).astype(np.float64)
-    found = bounced(surface, direct, [scattering, None], smooth=False)
+    found = bounced(surface, direct, [scattering, None], rounds=[0, 0])
     for channel, inside in enumerate(dense(scene.part(0), MEDIUM)):
         leaving = np.eye(n)
         leaving[:own, :own] = inside

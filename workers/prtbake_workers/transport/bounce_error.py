@@ -58,6 +58,7 @@ def bounce_error(
     seed: int,
     arriving: Sequence[Float32[F32, "_ channels _ coeffs"]] | None = None,
     smoothings: Sequence[Smoothing | None] = (),
+    rounds: Sequence[int] | None = None,
 ) -> BounceError:
     """Measure the squared error of one bounce, part by part, and choose the rounds that lower it.
 
@@ -77,9 +78,11 @@ def bounce_error(
         The bounce everywhere, one array a part: what means are taken of.  None takes none.
     smoothings
         Means over each part, or None; empty for no part.
+    rounds
+        Taken as they are, a number a part, where given.
     """
     energy = np.zeros(len(scene.part_ranges))
-    rounds = [0] * len(energy)
+    taken = [0] * len(energy)
     for part, (start, stop) in enumerate(scene.part_ranges):
         areas = np.maximum(scene.areas[start:stop], 0.0)
         if not areas.sum() > 0.0:
@@ -89,8 +92,11 @@ def bounce_error(
         least = 0.5 * float((row_norms(x - y) ** 2).sum(axis=1).mean())
         smoothing = smoothings[part] if smoothings else None
         if smoothing is not None and arriving is not None and least > 0.0:
-            for number, smooth in zip(ROUNDS, smoothing.at(arriving[part], chosen), strict=True):
-                if (error := mean_error(smooth, x, y)) < least:
-                    least, rounds[part] = error, number
+            tried = ROUNDS if rounds is None else tuple({rounds[part]} - {0})
+            for number, smooth in zip(
+                tried, smoothing.at(arriving[part], chosen, tried), strict=True
+            ):
+                if (error := mean_error(smooth, x, y)) < least or rounds is not None:
+                    least, taken[part] = error, number
         energy[part] = float(areas.sum()) * least
-    return BounceError(energy, tuple(rounds))
+    return BounceError(energy, tuple(taken))

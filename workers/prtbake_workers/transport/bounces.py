@@ -88,7 +88,7 @@ def bounce_block(
     max_bounces: int,
     tolerance: float,
     scattering: Sequence[PartScattering | None] = (),
-    smooth: bool = True,
+    rounds: Sequence[int] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BouncedBlock:
     """Sum the bounces of some coefficients.
@@ -114,8 +114,9 @@ def bounce_block(
         not above it on any part.  Where every block of coefficients keeps it, so does their whole.
     scattering
         What each part does to the light that arrives at it, None for nothing; empty for no part.
-    smooth
-        Takes means over neighbours where they are measured to lower the error.
+    rounds
+        Of means over neighbours, a number a part; None takes those that are measured to lower the
+        error most.
     progress
         Called with bounces done and at most to do.
 
@@ -151,7 +152,7 @@ def bounce_block(
     direct_energy = total = _energy(scene, sent)
     error = BounceError(np.zeros(len(direct)), (0,) * len(direct))
     smoothings = [
-        Smoothing.of_part(scene, part, own) if smooth and max_bounces and medium is None else None
+        Smoothing.of_part(scene, part, own) if max_bounces and medium is None else None
         for part, (own, medium) in enumerate(zip(factorisations, media, strict=True))
     ]
     if noise_tolerance > 0.0 and max_bounces:
@@ -174,6 +175,7 @@ def bounce_block(
                 seed=seed,
                 arriving=arriving,
                 smoothings=smoothings,
+                rounds=rounds,
             )
         sent = _leaving(media, arriving)
         for whole, one in zip(totals, sent, strict=True):

@@ -95,7 +95,7 @@ class Smoothing:
         ones = np.ones(len(wanted), np.float32)
         reach = coo_array((ones, (np.arange(len(wanted)), wanted)), shape=shape).tocsr()
         found = []
-        for number in range(max(rounds) + 1):
+        for number in range(max(rounds, default=-1) + 1):
             if number:
                 reach = csr_array(reach @ self.step)
             if number in rounds:
