@@ -9,9 +9,10 @@ Those marked ``mitsuba`` are deselected where Mitsuba 3 is not installed, those 
 unless the command asks for them by that name.
 """
 
+import gc
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,17 @@ from prtbake_storage.testing.postgres import (
 
 DATA_VARIABLE = "PRTBAKE_DATA"
 POSTGRES_VARIABLE = "PRTBAKE_REQUIRE_POSTGRES"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Keep what is imported and collected out of garbage collection: it lives to the end."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -61,9 +61,9 @@ def test_plain_evaluation_fails_where_ours_holds(lam_g, lam_h, cos_angle):
 
 @pytest.mark.parametrize(
     ("subdivisions", "bandwidth", "condition"),
-    [(3, 162.0, 51.0), (3, 52.2, 5.9e5), (3, 40.5, 2.4e7), (4, 162.0, 7.0e7)],
+    [(3, 162.0, 51.0), (3, 52.2, 5.9e5), (3, 40.5, 2.4e7)],
 )
-def test_condition_numbers_of_642_and_2562_centres(subdivisions, bandwidth, condition):
+def test_condition_numbers_of_642_centres(subdivisions, bandwidth, condition):
     measured = whitening(icosphere(subdivisions), bandwidth).condition
     assert measured == pytest.approx(condition, rel=0.02)  # the figures have two digits
 
@@ -115,11 +115,12 @@ def test_projection_where_float32_least_squares_fails(bandwidth, condition, rng)
     assert relative(plain - raw, raw) > 1e-3
 
 
-def test_2562_centres_at_209():
-    measured = whitening(icosphere(4), 209.0)
-    assert measured.condition == pytest.approx(1.3e6, rel=0.02)
+def test_2562_centres_at_162():
+    """The worst condition of those above and this: one decomposition of this size is enough."""
+    measured = whitening(icosphere(4), 162.0)
+    assert measured.condition == pytest.approx(7.0e7, rel=0.02)
     # and the roots are roots
-    gram = gram_matrix(icosphere(4), 209.0)
+    gram = gram_matrix(icosphere(4), 162.0)
     probe = np.random.default_rng(3).normal(size=2562)
     twice = measured.sqrt_gram @ (measured.sqrt_gram @ probe)
     np.testing.assert_allclose(twice, gram @ probe, rtol=0, atol=1e-12 * np.abs(twice).max())

@@ -13,5 +13,5 @@ def store(tmp_path_factory):
 def glossy_asset(store):
     """Request, context and results of a glossy teapot on a plane, through every stage."""
     request = asset_request()
-    context = teapot_context(store, request)
+    context = teapot_context(store, request, 3)
     return request, context, run_asset(store, request, context)

@@ -82,7 +82,7 @@ def test_the_projection_error_holds_between_the_directions_too(glossy_asset):
 def test_directions_that_do_not_resolve_the_basis_are_not_reported_as_exact(store):
     """96 directions for 162 SRBFs: the fit passes through its samples, and the report says so."""
     request = asset_request(receiver=None, settings={"bake": {"cube_resolution": 4}})
-    results = run_until(store, request, teapot_context(store, request), "join")
+    results = run_until(store, request, teapot_context(store, request, 2), "join")
     gathered = report.gather("", results)
     (bake,) = (stage for stage in gathered["stages"] if stage["name"] == "bake")
     assert bake["errors"]["object"] < 1e-6
@@ -207,7 +207,7 @@ def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):
 
     request, _, results = glossy_asset
     other = open_store((tmp_path / "blobs").as_uri())
-    again = run_until(other, request, teapot_context(other, request), "fit_light")
+    again = run_until(other, request, teapot_context(other, request, 3), "fit_light")
     assert again["join"][0]["transfer"] == results["join"][0]["transfer"]
     assert again["quantise"][0]["asset"] == results["quantise"][0]["asset"]
     assert again["fit_light"][0]["light"] == results["fit_light"][0]["light"]
@@ -445,7 +445,7 @@ def test_what_cannot_be_baked_is_refused_before_the_first_ray(store, changes, po
 
 def test_view_dependence_forced_off_bakes_one_term_and_says_what_that_costs(store):
     request = asset_request(receiver=None, effects={"view_dependence": "off"})
-    results = run_until(store, request, teapot_context(store, request), "quantise")
+    results = run_until(store, request, teapot_context(store, request, 2), "quantise")
     planned = results["plan"][0]
     (decision,) = (e for e in planned["plan"]["effects"] if e["effect"] == "view_dependence")
     assert (decision["taken"], decision["forced"]) == (False, True)

@@ -8,7 +8,7 @@ from prtbake_workers.validation.chain import validate_camera
 from support.scenes import asset_request, context_of, relative_difference, run_until, validation_of
 
 KD = (0.3, 0.1, 0.6)
-SETTINGS = ValidateSettings(width=48, height=36, passes=4, samples=128)
+SETTINGS = ValidateSettings(width=48, height=36, passes=4, samples=64)
 
 
 def view_of(store, brdf):

@@ -131,12 +131,12 @@ def mixed(store):
             "chip": {"brdf": {"model": "lambert", "albedo": [0.1, 0.8, 0.1]}},
         },
         receiver={
-            "resolution": 24,
+            "resolution": 16,
             "albedo": 0.9,
             "albedo_texture": store.put_bytes(png(CHECKS.repeat(8, axis=0).repeat(8, axis=1))),
             "texture_repeats": 2.0,
         },
-        settings={"validation": {"cameras": [{"name": "front"}]}},
+        settings={"validation": {"cameras": [{"name": "front"}], "passes": 2}},
     )
     context = context_of(store, request, {"blob": store.put_bytes(data), "format": "obj"}, SKY)
     return request, context, run_asset(store, request, context)

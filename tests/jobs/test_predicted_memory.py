@@ -10,7 +10,7 @@ from support.local_stages import run_stage
 from support.scenes import asset_request, context_of, teapot_context
 from support.task_child import run_child
 
-BAKE = {"cube_resolution": 32, "n_centres": 642, "n_terms": 16, "tile_vertices": 1024}
+BAKE = {"cube_resolution": 32, "n_centres": 642, "n_terms": 16, "tile_vertices": 256}
 
 
 def test_planning_and_a_tile_hold_what_is_predicted(store):

@@ -36,7 +36,7 @@ def store(tmp_path_factory):
 def joined(store, **changes):
     given = {"brdf": WHITE, "subsurface": MARBLE, "settings": {"bake": BAKE}} | changes
     request = asset_request(**given)
-    return run_until(store, request, teapot_context(store, request), "join")
+    return run_until(store, request, teapot_context(store, request, 3), "join")
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +274,7 @@ def marble_on_a_plane(store):
     context = context_of(
         store,
         request,
-        {"builtin": {"name": "icosphere", "tessellation": 3}},
+        {"builtin": {"name": "icosphere", "tessellation": 2}},
         {"builtin": {"name": "sun_sky", "width": 64}},
     )
     return request, context, run_asset(store, request, context)

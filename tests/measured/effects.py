@@ -61,13 +61,14 @@ def measure_scenes(
     *,
     scenes: Sequence[EffectScene] = SCENES,
     settings: BakeSettings = SETTINGS,
+    warm_up: EffectScene = WARM_UP,
 ) -> bool:
     """Measure scenes, write the table after each, and return whether all that it says holds."""
     folder.mkdir(parents=True, exist_ok=True)
     titles = {scene.name: scene.title for scene in scenes}
     store = folder / "effects.csv"
     # what is imported and compiled in the first bake is of no scene
-    measure(WARM_UP, data, settings)
+    measure(warm_up, data, settings)
     for scene in scenes:
         if scene.name in names:
             rows = merged(read_rows(store), measure(scene, data, settings), list(titles))

@@ -28,6 +28,7 @@ def bowl_file(_data):
 
 BALL = EffectScene("ball", "a ball", builtin("icosphere", 2), {"brdf": lambert(0.7)})
 BOWL = EffectScene("bowl", "a red bowl", made(bowl_file), {"brdf": lambert((0.9, 0.3, 0.2))})
+PEBBLE = EffectScene("pebble", "a small ball", builtin("icosphere", 1), {"brdf": lambert(0.7)})
 FEW = (BALL, BOWL)
 
 
@@ -141,11 +142,13 @@ def test_rows_are_kept_and_those_of_a_scene_replaced(rows, tmp_path):
 
 
 def test_the_command_writes_the_table_and_tells_that_two_scenes_are_not_enough(tmp_path, capsys):
-    assert not measure_scenes(["bowl"], tmp_path, tmp_path, scenes=FEW, settings=SETTINGS)
+    assert not measure_scenes(
+        ["pebble"], tmp_path, tmp_path, scenes=(PEBBLE, BOWL), settings=SETTINGS, warm_up=PEBBLE
+    )
     said = capsys.readouterr().out
-    assert "FAILS: all 2 scenes are measured: missing: ball" in said
+    assert "FAILS: all 2 scenes are measured: missing: bowl" in said
     text = (tmp_path / "effects.md").read_text()
-    assert {row.scene for row in read_rows(tmp_path / "effects.csv")} == {"bowl"}
+    assert {row.scene for row in read_rows(tmp_path / "effects.csv")} == {"pebble"}
     # every table is whole
     for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
         assert len({len(re.split(r"(?<!\\)\|", line)) for line in block.splitlines()}) == 1

@@ -114,7 +114,7 @@ REQUESTS = {(method, path): requests(path, operation) for method, path, operatio
     list(REQUESTS),
     ids=[f"{method} {path}" for method, path in REQUESTS],
 )
-@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(data=st.data())
 def test_no_request_is_our_fault(
     calling: httpx.Client, method: str, path: str, data: st.DataObject

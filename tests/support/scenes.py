@@ -55,12 +55,14 @@ def context_of(
     }
 
 
-def teapot_context(store: BlobStore, request: dict[str, Any]) -> dict[str, Any]:
-    """The teapot at its coarsest useful tessellation under a small procedural sky."""
+def teapot_context(
+    store: BlobStore, request: dict[str, Any], tessellation: int = 4
+) -> dict[str, Any]:
+    """The teapot, at its coarsest useful tessellation or coarser, under a small procedural sky."""
     return context_of(
         store,
         request,
-        {"builtin": {"name": "teapot", "tessellation": 4}},
+        {"builtin": {"name": "teapot", "tessellation": tessellation}},
         {"builtin": {"name": "sun_sky", "width": 64}},
     )
 

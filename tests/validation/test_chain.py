@@ -30,7 +30,7 @@ from support.scenes import (
     validation_of,
 )
 
-SETTINGS = ValidateSettings(width=64, height=48, passes=6, samples=128)
+SETTINGS = ValidateSettings(width=48, height=36, passes=4, samples=64)
 FULL_RANKS = [16, 162, 600]
 """All terms, all coefficients, and more vertices than a cluster holds."""
 
@@ -43,7 +43,7 @@ def store(tmp_path_factory):
 def bake(store, **settings):
     """Context and results of every stage before the pictures."""
     request = asset_request(settings={"bake": settings})
-    context = teapot_context(store, request)
+    context = teapot_context(store, request, 3)
     return context, run_until(store, request, context, "fit_light")
 
 

@@ -65,18 +65,23 @@ def corner(tmp_path_factory):
     return validation_of(store, results, context["environment"]["canonical"])
 
 
-def with_bounces(validation, n_bounces, order=(0, 1, 2)):
-    """Stored transfer with bounces between vertices, each colour by the albedo of its own."""
-    scene = validation.scene
-    block = build_bounce_block(
-        OpaqueSurface(scene, validation.accelerator), (0, scene.n_vertices),
-        albedo=Albedo.constant(*np.array(ALBEDO)[list(order)]), n_rays=1024, seed=3,
-    )  # fmt: skip
-    everything = np.arange(scene.n_vertices)
+@pytest.fixture(scope="module")
+def between_vertices(corner):
+    """What of each vertex's light the others receive, at the albedo of each colour."""
+    scene = corner.scene
+    return build_bounce_block(
+        OpaqueSurface(scene, corner.accelerator), (0, scene.n_vertices),
+        albedo=Albedo.constant(*ALBEDO), n_rays=1024, seed=3,
+    ).matrices  # fmt: skip
+
+
+def with_bounces(validation, matrices, n_bounces):
+    """Stored transfer with bounces between vertices, each colour by a matrix of its own."""
+    everything = np.arange(validation.scene.n_vertices)
 
     def relight_stored(part, vertices, light):
         relit = validation.relight_stored(part, everything, light)
-        for colour, matrix in enumerate(block.matrices):
+        for colour, matrix in enumerate(matrices):
             bounce = relit[:, 0, colour::3]
             total = bounce.copy()
             for _ in range(n_bounces):
@@ -105,8 +110,14 @@ def left_out(corner):
 
 
 @pytest.fixture(scope="module")
-def bounced(corner):
-    return view_of(with_bounces(corner, REFERENCE_BOUNCES))
+def bounced(corner, between_vertices):
+    return view_of(with_bounces(corner, between_vertices, REFERENCE_BOUNCES))
+
+
+@pytest.fixture(scope="module")
+def once(corner, direct):
+    """Light of one bounce."""
+    return indirect_of(view_of(corner, bounces=1), direct)
 
 
 def indirect_of(view, direct):
@@ -146,14 +157,15 @@ def test_bounces_left_out_are_the_share_of_the_indirect_light(direct, left_out):
     assert left_out.budget.total_noise**2 > line.noise**2
 
 
-def test_baked_bounces_make_the_line_small(corner, left_out, bounced):
+def test_baked_bounces_make_the_line_small(corner, between_vertices, left_out, bounced):
     line, share = bounced.budget.lines[STORED], left_out.budget.lines[STORED].error
     # what is left is bounces of light projected on 162 SRBFs, interpolated over cells of 1/8, from
     # 1024 rays: 1.7 % was measured with as much noise, of a share of 18 %
     assert line.error < 0.03
     # the negative twins: bounces cut after the first, and albedo in the wrong channels
-    cut = view_of(with_bounces(corner, 1), bounces=REFERENCE_BOUNCES)
-    swapped = view_of(with_bounces(corner, REFERENCE_BOUNCES, order=(1, 2, 0)))
+    cut = view_of(with_bounces(corner, between_vertices, 1), bounces=REFERENCE_BOUNCES)
+    others = [between_vertices[colour] for colour in (1, 2, 0)]
+    swapped = view_of(with_bounces(corner, others, REFERENCE_BOUNCES))
     assert 0.2 * share < cut.budget.lines[STORED].error < 0.5 * share
     assert swapped.budget.lines[STORED].error > 0.4 * share
 
@@ -171,7 +183,7 @@ def test_the_noise_of_the_line_is_that_of_the_paths(corner, left_out):
 
 
 @pytest.mark.parametrize("source", ["texture", "vertices", "both"])
-def test_textures_and_vertices_colour_the_indirect_light(corner, direct, source):
+def test_textures_and_vertices_colour_the_indirect_light(corner, direct, once, source):
     """Light of one bounce meets the colour twice; binary fractions, so no texel is rounded."""
     tint = np.array([0.5, 0.25, 1.0], np.float32)
     asset = corner.finest
@@ -185,11 +197,10 @@ def test_textures_and_vertices_colour_the_indirect_light(corner, direct, source)
         corner,
         exact=replace(asset, parts=(part,), uv=np.zeros((len(asset.positions), 2), np.float32)),
     )
-    plain = indirect_of(view_of(corner, bounces=1), direct)
     coloured = view_of(textured, bounces=1).chain[0].passes - shade * direct.chain[0].passes
     # barycentrics are float32, and their sum is 1 within 1e-7
-    atol = 1e-12 if source == "texture" else 1e-6 * plain.max()
-    np.testing.assert_allclose(coloured, shade**2 * plain, rtol=1e-9, atol=atol)
+    atol = 1e-12 if source == "texture" else 1e-6 * once.max()
+    np.testing.assert_allclose(coloured, shade**2 * once, rtol=1e-9, atol=atol)
 
 
 def test_the_request_decides_on_the_bounces(corner, direct):

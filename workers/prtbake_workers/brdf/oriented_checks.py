@@ -1,5 +1,7 @@
 """Checks of an anisotropic BRDF's factorisation, by quadrature off its own grid."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
@@ -13,6 +15,10 @@ LIGHT_RINGS, LIGHT_AZIMUTHS = 16, 8
 
 VIEW_RINGS, VIEW_AZIMUTHS = 96, 384
 """Views: a hundred thousandth of a hemisphere each, so that the narrowest lobes are resolved."""
+
+
+LIGHTS_AT_ONCE = 8
+"""Their sums are one matrix product: 2 MB a channel."""
 
 
 def measure_loss(brdf: Brdf, found: OrientedFactorisation) -> tuple[float, float]:
@@ -29,9 +35,9 @@ def measure_loss(brdf: Brdf, found: OrientedFactorisation) -> tuple[float, float
     wo, view = _nodes(VIEW_RINGS, VIEW_AZIMUTHS, 2.0 * np.pi)
     psi, phi = found.eval_psi(wi), found.eval_phi(wo)
     lost = total = 0.0
-    for row, weight in enumerate(light):
+    for row, (weight, terms) in enumerate(zip(light, _sums(psi, phi), strict=True)):
         value = brdf.eval_brdf(wi[row : row + 1], wo)
-        error = value - np.einsum("k,okc->oc", psi[row], phi)
+        error = value - terms
         total += float(weight) * float(view @ (value * value).sum(axis=1))
         lost += float(weight) * float(view @ (error * error).sum(axis=1))
     return lost / total, 4.0 * total
@@ -48,14 +54,24 @@ def check_oriented_factorisation(brdf: Brdf, found: OrientedFactorisation) -> Se
     _, phi = _exact(found, VIEW_RINGS, VIEW_AZIMUTHS, 2.0 * np.pi)
     tabled_psi, tabled_phi = found.eval_psi(wi), found.eval_phi(wo)
     lost = added = total = 0.0
-    for row, weight in enumerate(light):
+    sums = zip(light, _sums(psi, phi), _sums(tabled_psi, tabled_phi), strict=True)
+    for row, (weight, exact, tabled) in enumerate(sums):
         value = brdf.eval_brdf(wi[row : row + 1], wo)
-        exact = np.einsum("k,okc->oc", psi[row], phi)
-        off = np.einsum("k,okc->oc", tabled_psi[row], tabled_phi) - exact
+        off = tabled - exact
         total += float(weight) * float(view @ (value * value).sum(axis=1))
         lost += float(weight) * float(view @ ((value - exact) ** 2).sum(axis=1))
         added += float(weight) * float(view @ (off * off).sum(axis=1))
     return SeparableReport(relative_error=lost / total, tabulation=added / total)
+
+
+def _sums(
+    psi: Float64[F64, "lights terms"], phi: Float64[F64, "views terms channels"]
+) -> Iterator[Float64[F64, "views channels"]]:
+    """Sum the products of the terms, one light after the other."""
+    by_term = np.ascontiguousarray(phi.transpose(1, 0, 2)).reshape(phi.shape[1], -1)
+    for start in range(0, len(psi), LIGHTS_AT_ONCE):
+        block = psi[start : start + LIGHTS_AT_ONCE] @ by_term
+        yield from block.reshape(-1, len(phi), phi.shape[2])
 
 
 def _nodes(
