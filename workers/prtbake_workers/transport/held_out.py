@@ -23,6 +23,9 @@ RESOLUTION = 8
 """Of the cube map that is turned at random: 384 directions.  Vertices differ more than directions
 do."""
 
+VERTICES_AT_ONCE = 16
+"""50 kB a term, so that 64 terms stay within a few MB."""
+
 
 def held_out_energies(
     scene: Scene,
@@ -79,10 +82,12 @@ def held_out_energies(
     # the sums are small, and the number of threads would change their last bits
     with threadpool_limits(limits=1, user_api="blas"):
         tabled = basis.reconstruction_matrix(directions).T
-        for row, vertex in enumerate(vertices):
-            local = to_local(scene.frames[vertex][None], directions)[0]
-            truth = factorisation.eval_psi(local).T * received[row]
-            missed = truth - coefficients[chosen[row]].astype(np.float64) @ tabled
+        for first in range(0, VERTICES, VERTICES_AT_ONCE):
+            rows = slice(first, first + VERTICES_AT_ONCE)
+            local = to_local(scene.frames[vertices[rows]], directions)
+            psi = factorisation.eval_psi(local.reshape(-1, 3)).reshape(*local.shape[:2], -1)
+            truth = psi.transpose(0, 2, 1) * received[rows, None]
+            missed = truth - coefficients[chosen[rows]].astype(np.float64) @ tabled
             signal += float((truth**2 @ cube.weights).sum())
             residual += float((missed**2 @ cube.weights).sum())
     return total * signal / VERTICES, total * residual / VERTICES
