@@ -27,7 +27,7 @@ def store(tmp_path_factory):
 
 def joined(store, **changes):
     request = asset_request(**{"brdf": RED, "settings": {"bake": BAKE}} | changes)
-    return run_until(store, request, teapot_context(store, request, 2), "join")
+    return run_until(store, request, teapot_context(store, request), "join")
 
 
 @pytest.fixture(scope="module")

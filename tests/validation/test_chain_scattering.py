@@ -21,7 +21,7 @@ from prtbake_workers.validation.chain import (
 )
 from support.scenes import asset_request, context_of, run_until, validation_of
 
-SETTINGS = ValidateSettings(width=32, height=24, passes=8, samples=32, bounce_samples=32)
+SETTINGS = ValidateSettings(width=32, height=24, passes=8, samples=32, bounce_samples=40)
 STORED = N_WITH_PATHS - 1
 """The line of the stored transfer; the reference has none."""
 TINT = [0.9, 0.6, 0.3]
