@@ -2,13 +2,12 @@
 
 ``python tests/measured/against_mitsuba.py [--quick] [--to FOLDER] [name ...]`` bakes the scenes of the
 reference test in memory, at one setting after another, and writes ``measured/mitsuba-<name>.md``
-into ``docs``.  ``--quick`` tries the command with settings whose figures mean nothing, and leaves
+into ``docs``.  Vertices that send the pictures no light are not baked.  ``--quick`` tries the command with settings whose figures mean nothing, and leaves
 ``docs`` alone.
 """
 
 import os
 import sys
-import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,11 @@ from measured.options import Options
 from prtbake_storage import __version__
 from prtbake_storage.contract.settings import AssetSettings, Quality, ValidateSettings
 from prtbake_workers.planning.presets import resolve_stages
-from support.agreement import Explained
-from support.baked_scene import baked, finer, pixel_chain, validation_of_baked
-from support.mitsuba_render import by_mitsuba
+from support.agreement import Agreement, Explained
+from support.baked_on_demand import BakedOnDemand
+from support.baked_scene import pixel_chain, validation_of_baked
+from support.finer_mesh import finer, shown
+from support.mitsuba_render import by_mitsuba, by_paths
 from support.mitsuba_scenes import bunny_on_a_plane, overcast_sky, shaderball, suzanne_in_a_box
 
 N_PARTS = 8
@@ -48,7 +49,8 @@ class Rung:
 class MitsubaScene:
     """A scene of the reference test; ``fine_parts`` are those whose triangles rungs cut.
 
-    ``n_points`` of ``per_side`` x ``per_side`` points of a pixel are shaded, each with ``samples`` of
+    Of these, with ``cut_shown``, the ones that any of ``per_side`` x ``per_side`` points of a pixel
+    shows.  ``tracer_side`` is that of the cells which the path tracer's paths share.  ``n_points`` of ``per_side`` x ``per_side`` points of a pixel are shaded, each with ``samples`` of
     light and ``paths`` a pass: a scene whose outline stands before nothing needs to know it well.
     """
 
@@ -61,15 +63,17 @@ class MitsubaScene:
     n_points: int
     samples: int
     paths: int
+    tracer_side: int
     fine_parts: tuple[int, ...]
     rungs: tuple[Rung, ...]
+    cut_shown: bool = False
 
 
 SCENES = (
     MitsubaScene(
         "suzanne", "Suzanne in an open box with coloured walls, diffuse", suzanne_in_a_box,
         n_bounces=3, n_paths=8192, per_side=6, n_points=36, samples=256, paths=16,
-        fine_parts=(0, 1, 2, 3, 4),
+        tracer_side=4, fine_parts=(0, 1, 2, 3, 4),
         rungs=(
             Rung("draft", "draft"),
             Rung("medium"),
@@ -84,17 +88,23 @@ SCENES = (
     ),
     MitsubaScene(
         "bunny", "Bunny of diffuse and rough metal on a diffuse plane", bunny_on_a_plane,
-        n_bounces=2, n_paths=4224, per_side=16, n_points=9, samples=128, paths=16, fine_parts=(1,),
+        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=128, paths=8,
+        tracer_side=8, fine_parts=(1,), cut_shown=True,
         rungs=(
             Rung("draft", "draft"),
-            Rung("draft, plane's triangles in 16", "draft", rounds=2),
+            Rung("draft, plane in 16", "draft", rounds=2),
             Rung("in 16, 29 terms", "draft", {"term_energy_lost": 0.004}, rounds=2),
         ),
     ),
     MitsubaScene(
         "shaderball", "Shaderball of diffuse and rough metal", shaderball,
-        n_bounces=2, n_paths=4224, per_side=16, n_points=9, samples=128, paths=16, fine_parts=(),
-        rungs=(Rung("draft", "draft"), Rung("low", "low")),
+        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=256, paths=8,
+        tracer_side=8, fine_parts=(0,), cut_shown=True,
+        rungs=(
+            Rung("low", "low"),
+            Rung("low, 35 terms", "low", {"term_energy_lost": 0.004}),
+            Rung("35 terms, triangles in 16", "low", {"term_energy_lost": 0.004}, rounds=2),
+        ),
     ),
 )  # fmt: skip
 
@@ -102,28 +112,33 @@ QUICK = Rung("draft", "draft", changes={"n_centres": 42, "cube_resolution": 8, "
 N_LOBES = 162
 
 
-def measured(scene: MitsubaScene, data: Path) -> list[Measured]:
-    """Bake a scene at every rung and compare it with one picture of Mitsuba's."""
+def measured(scene: MitsubaScene, data: Path) -> tuple[Agreement, list[Measured]]:
+    """Compare the path tracer, and a bake at every rung, with one picture of Mitsuba's."""
     meshes, brdfs, view = scene.make(data)
     light = overcast_sky(data)
-    theirs, _ = by_mitsuba(
+    theirs, corners = by_mitsuba(
         meshes, brdfs, light, view, scene.n_bounces, n_paths=scene.n_paths, n_parts=N_PARTS
     )
+    ours, _ = by_paths(
+        meshes, brdfs, light, view, scene.n_bounces, corners,
+        n_paths=scene.n_paths, per_side=scene.tracer_side,
+    )  # fmt: skip
+    tracer = Agreement.between(ours, theirs)
+    sys.stderr.write(f"{scene.name}: path tracer: {tracer}\n")
     sampling = ValidateSettings(
         passes=N_PARTS, samples=scene.samples, bounces=scene.n_bounces, bounce_samples=scene.paths
     )
+    where = shown(meshes, view, scene.per_side) if scene.cut_shown else [None] * len(meshes)
     found = []
     for rung in scene.rungs:
         bake = resolve_stages(rung.quality, AssetSettings(bake=rung.changes)).bake
         # as many bounces as Mitsuba has, whatever they add
         bake = bake.model_copy(update={"max_bounces": scene.n_bounces, "bounce_tolerance": 0.0})
         cut = [
-            finer(mesh, rung.rounds if index in scene.fine_parts else 0)
+            finer(mesh, rung.rounds if index in scene.fine_parts else 0, where[index])
             for index, mesh in enumerate(meshes)
         ]
-        began = time.perf_counter()
-        own = baked(cut, brdfs, bake)
-        seconds = time.perf_counter() - began
+        own = BakedOnDemand(cut, brdfs, bake)
         chain = pixel_chain(
             validation_of_baked(own, light, N_LOBES), view, scene.per_side, sampling,
             n_points=scene.n_points,
@@ -137,14 +152,15 @@ def measured(scene: MitsubaScene, data: Path) -> list[Measured]:
                 n_directions=6 * bake.cube_resolution**2,
                 bounce_rays=bake.bounce_rays,
                 vertices=own.scene.n_vertices,
+                baked=own.n_baked,
                 terms=own.factorisations[0].n_terms,
-                seconds=seconds,
+                seconds=own.seconds,
                 explained=explained,
                 fitted=fitted,
             )
         )
-        sys.stderr.write(f"{scene.name}: {rung.label}: {seconds:.0f} s: {fitted}\n")
-    return found
+        sys.stderr.write(f"{scene.name}: {rung.label}: {own.seconds:.0f} s: {fitted}\n")
+    return tracer, found
 
 
 def about(scene: MitsubaScene, data: Path) -> str:
@@ -152,7 +168,8 @@ def about(scene: MitsubaScene, data: Path) -> str:
     view = scene.make(data)[2]
     return (
         f"Both hold {scene.n_bounces} bounces under uffizi.hdr at 16 x 32 texels. Mitsuba "
-        f"{mi.__version__}: {view.width} x {view.height} pixels, {scene.n_paths:,} paths each. Ours: "
+        f"{mi.__version__}: {view.width} x {view.height} pixels, {scene.n_paths:,} paths each, as many as "
+        "the path tracer. The chain of the budget: "
         f"{scene.n_points} of {scene.per_side} x {scene.per_side} points a pixel; the reference takes {N_PARTS} x "
         f"{scene.samples} light samples and {N_PARTS} x {scene.paths} paths from each. Measured "
         f"with prtbake {__version__}, numpy {np.__version__}, on one core of {cpu_name()}, load "
@@ -172,11 +189,18 @@ def main(arguments: list[str]) -> int:
         own = scene
         if options.quick:
             own = replace(
-                scene, n_paths=128, per_side=2, n_points=4, samples=8, paths=1, rungs=(QUICK,)
+                scene,
+                n_paths=512,
+                per_side=2,
+                n_points=4,
+                samples=8,
+                paths=1,
+                tracer_side=2,
+                rungs=(QUICK,),
             )
         said = about(own, data) + (" Tried with `--quick`: no result." if options.quick else "")
         path = options.to / "measured" / f"mitsuba-{scene.name}.md"
-        path.write_text(page(scene.title, said, measured(own, data)))
+        path.write_text(page(scene.title, said, *measured(own, data)))
         sys.stdout.write(f"{path}\n")
     return 0
 

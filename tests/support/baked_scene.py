@@ -5,7 +5,7 @@ bits, one channel of direct light; bounces are linear in it and are made of what
 hundred thousand values a vertex need not bounce, nor be kept, to be lit once.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.view_texture import fit_view_texture
 from prtbake_workers.environment.fit import fit_environment
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.scene_file import make_basis, reflection_of
 from prtbake_workers.transport.bake import bake_block
@@ -47,6 +46,14 @@ class BakedScene:
     direct: list[list[Any]]
     basis: Any
     settings: Any
+    lit: dict[Any, Any] = field(default_factory=dict)
+
+    def lit_at(self, part, vertices, light, *, bounces=True):
+        """What some vertices of a part gather, (verts, terms, columns); light is met once."""
+        key = (light.tobytes(), bounces)
+        if key not in self.lit:
+            self.lit[key] = self.relight(light, bounces=bounces)
+        return self.lit[key][part][vertices - self.scene.part_ranges[part][0]]
 
     def relight(self, light, *, bounces=True, rounds=None):
         """What every part's vertices gather of columns of whitened light, (verts, terms, columns).
@@ -78,13 +85,18 @@ class BakedScene:
         ]
 
 
-def baked(meshes, brdfs, settings):
-    """Bake direct light at `BakeSettings`."""
-    scene = Scene.from_parts(meshes)
-    factorisations = [
+def factorised(brdfs, settings):
+    """Cut every BRDF to terms at `BakeSettings`."""
+    return [
         factorise(brdf, n_terms=settings.n_terms, energy_lost=settings.term_energy_lost)
         for brdf in brdfs
     ]
+
+
+def baked(meshes, brdfs, settings):
+    """Bake direct light at `BakeSettings`."""
+    scene = Scene.from_parts(meshes)
+    factorisations = factorised(brdfs, settings)
     directions = cube_directions(settings.cube_resolution)
     basis = make_basis(settings.model_dump())
     projection = basis.projection(directions.directions, directions.weights)
@@ -106,19 +118,17 @@ def baked(meshes, brdfs, settings):
 
 
 def validation_of_baked(own, environment, n_lobes, *, bounces=True):
-    """All that the chain needs up to the fitted light; the asset has surfaces and no factors."""
+    """Give a `BakedScene` or `BakedOnDemand` its references.
+
+    All that the chain needs up to the fitted light; the asset has surfaces and no factors."""
     scene = own.scene
     accelerator = Accelerator(scene.positions, scene.faces, robust=True)
     textures = [
         None if one.is_constant_phi else fit_view_texture(one).values for one in own.factorisations
     ]
-    lit: dict[bytes, Any] = {}
 
     def relight_stored(part, vertices, light):
-        key = light.tobytes()
-        if key not in lit:
-            lit[key] = own.relight(light, bounces=bounces)
-        return lit[key][part][vertices - scene.part_ranges[part][0]].astype(np.float64)
+        return own.lit_at(part, vertices, light, bounces=bounces).astype(np.float64)
 
     fit = fit_environment(environment, n_lobes, seed=SEED)
     return ValidationScene(
@@ -206,31 +216,6 @@ def camera_of(view):
     return Camera(
         eye=view.eye, target=view.target, fov_deg=float(2.0 * np.degrees(np.arctan(half)))
     )
-
-
-def finer(mesh, rounds):
-    """Cut every triangle in four, so many times; the surface and its shading stay what they were.
-
-    But for normals between a corner and the middle of an edge, by a tenth of a degree where the
-    corners' are thirty apart.
-    """
-    for _ in range(rounds):
-        pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        edges, where = np.unique(pairs, axis=0, return_inverse=True)
-        middle = (mesh.n_vertices + where.reshape(-1, 3)).astype(np.int32)
-        a, b, c = mesh.faces.T
-        ab, bc, ca = middle.T
-        faces = np.concatenate(
-            [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-        )
-        normals = mesh.normals[edges].sum(axis=1)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        mesh = Mesh(
-            np.concatenate([mesh.positions, mesh.positions[edges].mean(axis=1)]),
-            faces,
-            np.concatenate([mesh.normals, normals]),
-        )
-    return mesh
 
 
 def _surfaces(scene, factorisations, textures, basis):

@@ -1,4 +1,4 @@
-"""Scenes baked in memory are what a bake job writes; cutting triangles leaves the surface alone."""
+"""Scenes baked in memory are what a bake job writes; the points of a pixel stand for all of it."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.jobs.inputs import load_brdf
 from prtbake_workers.jobs.validate import relight_vertices
-from support.baked_scene import SEED, baked, evenly, finer, pixel_of
-from support.bounce_scenes import ball
+from support.baked_scene import SEED, baked, evenly, pixel_of
 from support.mitsuba_scenes import View
 from support.scenes import asset_request, context_of, relative_difference, run_until
 
@@ -63,23 +62,6 @@ def test_baked_in_memory_is_what_a_job_writes(job, rng):
         assert relative_difference(direct[index], written) > 0.01
         back = swapped[index][..., [1, 2, 0, 4, 5, 3]]
         assert relative_difference(back, written) > 0.005
-
-
-@pytest.mark.parametrize("rounds", [0, 1, 2])
-def test_finer_triangles_cover_the_same_surface(rounds):
-    mesh = ball(1)
-    cut = finer(mesh, rounds)
-    assert cut.n_faces == 4**rounds * mesh.n_faces
-    # closed: each edge twice, once each way
-    edges = cut.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    assert len(np.unique(edges, axis=0)) == len(edges)
-    assert {tuple(edge) for edge in edges} == {tuple(edge[::-1]) for edge in edges}
-    # the same triangles, not a rounder ball
-    assert cut.vertex_areas.sum() == pytest.approx(mesh.vertex_areas.sum(), rel=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(cut.normals, axis=1), 1.0, rtol=1e-12)
-    # of a ball at its middle, normals stay those of the positions within what flat edges leave
-    towards = cut.positions / np.linalg.norm(cut.positions, axis=1, keepdims=True)
-    assert ((towards * cut.normals).sum(axis=1) > 0.999).all()
 
 
 def test_points_are_those_of_their_pixels():
