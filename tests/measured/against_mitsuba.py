@@ -92,18 +92,16 @@ SCENES = (
         tracer_side=8, fine_parts=(1,), cut_shown=True,
         rungs=(
             Rung("draft", "draft"),
-            Rung("draft, plane in 16", "draft", rounds=2),
-            Rung("in 16, 29 terms", "draft", {"term_energy_lost": 0.004}, rounds=2),
+            Rung("draft, 29 terms, plane in 16", "draft", {"term_energy_lost": 0.004}, rounds=2),
         ),
     ),
     MitsubaScene(
         "shaderball", "Shaderball of diffuse and rough metal", shaderball,
-        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=256, paths=8,
+        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=192, paths=8,
         tracer_side=8, fine_parts=(0,), cut_shown=True,
         rungs=(
             Rung("low", "low"),
-            Rung("low, 35 terms", "low", {"term_energy_lost": 0.004}),
-            Rung("35 terms, triangles in 16", "low", {"term_energy_lost": 0.004}, rounds=2),
+            Rung("low, 35 terms, triangles in 16", "low", {"term_energy_lost": 0.004}, rounds=2),
         ),
     ),
 )  # fmt: skip

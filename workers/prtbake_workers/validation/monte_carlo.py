@@ -16,7 +16,7 @@ from prtbake_workers.transport.reference import (
 from prtbake_workers.validation.exact_terms import ExactTerms
 from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
-from prtbake_workers.validation.shading import texture_albedo, view_terms
+from prtbake_workers.validation.shading import spread_lit, texture_albedo, view_terms
 
 
 def pixel_pictures(
@@ -36,21 +36,26 @@ def pixel_pictures(
             received = visible_cosine(
                 hits.points.block(which), light.directions, validation.accelerator, epsilon
             )
+            arriving = np.flatnonzero(received)
+            if not len(arriving):
+                continue
             frames = hits.frames[which]
             wi = to_local(frames, light.directions)
             wo = np.einsum("pij,pj->pi", frames, hits.wo[which])
-            rho = part.brdf.eval_brdf(wi, wo[:, None, :])
+            lit = wi.reshape(-1, 3)[arriving]
+            rho = spread_lit(
+                part.brdf.eval_brdf(lit, wo[arriving // received.shape[1]]), arriving, received
+            )
             true = np.einsum("ps,psc,sc->pc", received, rho, light.weights, optimize=True)
             pictures[0, which] = true * albedo[which]
             if part.factorisation.is_constant_phi:
                 pictures[1:, which] = pictures[0, which]
                 continue
-            flat = wi.reshape(-1, 3)
             for row, psi, phi in (
-                (1, exact[index].eval_psi(flat), exact[index].eval_phi(wo)),
-                (2, part.factorisation.eval_psi(flat), view_terms(part, wo)),
+                (1, exact[index].eval_psi(lit), exact[index].eval_phi(wo)),
+                (2, part.factorisation.eval_psi(lit), view_terms(part, wo)),
             ):
-                terms = _gather(psi.reshape(*wi.shape[:2], -1), received, light)
+                terms = _gather(spread_lit(psi, arriving, received), received, light)
                 colour = np.einsum("pkc,pkc->pc", np.broadcast_to(phi, terms.shape), terms)
                 pictures[row, which] = colour * albedo[which]
     return pictures[0], pictures[1], pictures[2]
@@ -73,9 +78,12 @@ def vertex_terms(
         received = visible_cosine(
             points.block(block), light.directions, validation.accelerator, epsilon
         )
+        arriving = np.flatnonzero(received)
+        if not len(arriving):
+            continue
         wi = to_local(scene.frames[vertices[block]], light.directions)
-        psi = part.factorisation.eval_psi(wi.reshape(-1, 3)).reshape(*wi.shape[:2], -1)
-        result[block] = _gather(psi, received, light)
+        psi = part.factorisation.eval_psi(wi.reshape(-1, 3)[arriving])
+        result[block] = _gather(spread_lit(psi, arriving, received), received, light)
     return result
 
 

@@ -9,7 +9,7 @@ from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.transport.reference import SurfacePoints, blocks, to_local, visible_cosine
 from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationScene
-from prtbake_workers.validation.shading import shade_hits, spread
+from prtbake_workers.validation.shading import shade_hits, spread, spread_lit
 
 
 def sampled_terms(
@@ -40,8 +40,12 @@ def sampled_terms(
                 risen += own_points.normals @ sample.T > 0.0
                 free += visible_cosine(own_points, sample, own.occluders, epsilon) > 0.0
             cosine *= free / np.maximum(risen, 1.0)
+        arriving = np.flatnonzero(cosine)
+        if not len(arriving):
+            continue
         wi = to_local(scene.frames[vertices[block]], directions.directions)
-        psi = own.factorisation.eval_psi(wi.reshape(-1, 3)).reshape(*wi.shape[:2], -1)
+        psi = own.factorisation.eval_psi(wi.reshape(-1, 3)[arriving])
+        psi = spread_lit(psi, arriving, cosine)
         result[block] = (psi * cosine[..., None]).transpose(0, 2, 1) @ columns
     return result
 

@@ -9,7 +9,7 @@ from prtbake_storage.decode.asset import Asset
 from prtbake_storage.decode.relight import shade
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
-from prtbake_workers.arrays import F32, F64, I64, Float32, Float64
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.transport.albedo import AlbedoAt
 from prtbake_workers.validation.hits import PixelHits
 from prtbake_workers.validation.scene import ValidationPart, ValidationScene
@@ -88,3 +88,14 @@ def spread(
     full = np.zeros((stop - start, *values.shape[1:]), np.float32)
     full[hits.vertices_of(start, stop) - start] = values
     return full
+
+
+def spread_lit(
+    values: Float64[F64, "lit columns"],
+    arriving: Int64[I64, " lit"],
+    received: Float64[F64, "points samples"],
+) -> Float64[F64, "points samples columns"]:
+    """Lay out what was evaluated where light arrives; elsewhere it would meet none."""
+    full = np.zeros((received.size, values.shape[1]))
+    full[arriving] = values
+    return full.reshape(*received.shape, -1)
