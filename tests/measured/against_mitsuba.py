@@ -88,7 +88,7 @@ SCENES = (
     ),
     MitsubaScene(
         "bunny", "Bunny of diffuse and rough metal on a diffuse plane", bunny_on_a_plane,
-        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=128, paths=8,
+        n_bounces=2, n_paths=4608, per_side=16, n_points=64, samples=64, paths=4,
         tracer_side=8, fine_parts=(1,), cut_shown=True,
         rungs=(
             Rung("draft", "draft"),
@@ -97,7 +97,7 @@ SCENES = (
     ),
     MitsubaScene(
         "shaderball", "Shaderball of diffuse and rough metal", shaderball,
-        n_bounces=2, n_paths=8192, per_side=16, n_points=64, samples=192, paths=8,
+        n_bounces=2, n_paths=4608, per_side=16, n_points=64, samples=192, paths=4,
         tracer_side=8, fine_parts=(0,), cut_shown=True,
         rungs=(
             Rung("low", "low"),
