@@ -24,6 +24,8 @@ BOUNCE_RAYS_PER_SECOND = 5.0e5
 SPARSE_FLOPS_PER_SECOND = 2.0e9
 TRANSFER_SAMPLES_PER_SECOND = 1.5e8
 """Products psi * V * cos built for the projection, one term of one direction each."""
+TERM_SAMPLES_PER_SECOND = 5.0e7
+"""Of validation: one term at one point for one sample of the light, about half of which arrive."""
 PATHS_PER_SECOND = 4.0e5
 """With all bounces, where two in three leave an open scene at once; a closed room takes four times
 as long."""
@@ -205,7 +207,7 @@ def validate_seconds(
     """
     pixels = 0.5 * settings.width * settings.height
     samples = settings.passes * settings.samples
-    one = pixels * samples * (4.0 / RAYS_PER_SECOND + 3.0 * n_terms / 2.0e7)
+    one = pixels * samples * (4.0 / RAYS_PER_SECOND + 3.0 * n_terms / TERM_SAMPLES_PER_SECOND)
     if settings.reference_bounces(baked=baked_bounces):
         one += pixels * settings.passes * settings.paths / PATHS_PER_SECOND
     if media:
