@@ -36,7 +36,7 @@ def store(tmp_path_factory):
 def joined(store, **changes):
     given = {"brdf": WHITE, "subsurface": MARBLE, "settings": {"bake": BAKE}} | changes
     request = asset_request(**given)
-    return run_until(store, request, teapot_context(store, request, 3), "join")
+    return run_until(store, request, teapot_context(store, request), "join")
 
 
 @pytest.fixture(scope="module")
