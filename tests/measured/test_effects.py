@@ -59,8 +59,8 @@ def test_a_ball_needs_nothing_and_a_red_bowl_its_bounces_in_colour(rows):
     ball, bowl = (row_of(rows, name, "everything") for name in ("ball", "bowl"))
     assert ball.error_off == 0.0
     assert bowl.error_off > 0.1
-    # all that it needs, with as many rays as its tolerance asks for: all
-    assert bowl.error_decided == 0.0
+    # all that it needs, with all rays in the first bounce: later ones have half of them
+    assert 0.0 < bowl.error_decided < 0.01 * bowl.error_off
 
 
 def test_errors_are_those_of_the_coefficients(tmp_path):
