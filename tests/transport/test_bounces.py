@@ -119,8 +119,12 @@ def test_the_estimate_for_glossy_parts_is_of_the_right_size(surface, diffuse):
         scene.faces,
         np.where(np.arange(scene.n_vertices) < scene.part_ranges[1][0], 1.0, 0.6)[:, None],
     )
-    full = bounced(surface, direct, parts, albedo, tolerance=1e-12, max_bounces=40)
-    cut = bounced(surface, direct, parts, albedo, tolerance=0.0, max_bounces=3)
+    full, cut = (
+        bounced(surface, direct, parts, albedo, rounds=[0, 0], **own)
+        for own in (
+            {"tolerance": 1e-12, "max_bounces": 40}, {"tolerance": 0.0, "max_bounces": 3},
+        )
+    )  # fmt: skip
     missing = missed(scene, full, cut)
     assert not cut.is_bound
     assert 0.5 * missing.sum() < cut.remainder_energy.sum() < 2.0 * missing.sum()
@@ -165,3 +169,36 @@ def test_what_does_not_fit_is_refused(surface, diffuse):
         bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), max_bounces=-1)
     with pytest.raises(SettingsError, match="tolerance"):
         bounced(surface, direct, [diffuse] * 2, Albedo.constant(0.5), tolerance=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("depth", "rays", "later", "allowed"),
+    [(0.0, 64, 16, 0.0), (0.0, 64, 64, 5e-4), (2.2, 64, 64, 5e-4), (2.8, 64, 16, 5e-4)],
+)
+def test_the_error_of_all_bounces_is_measured_of_what_is_kept(diffuse, depth, rays, later, allowed):
+    """Bounces share rays: in a deep bowl their errors add up, and the first tells little of them."""
+    mesh = bowl(10, 24, depth_rad=depth) if depth else bowl(10, 24)
+    deep = opaque(Scene.from_parts([mesh]))
+    scene, albedo = deep.scene, Albedo.constant(0.8)
+    # spots of light
+    towards = np.random.default_rng(5).normal(size=(6, 3))
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    around = scene.positions - scene.positions.mean(axis=0)
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    direct = [np.maximum(around @ towards.T - 0.7, 0.0)[:, None].astype(np.float32)]
+    settings = {"factorisations": [diffuse], "albedo": albedo, "n_channels": 1, "max_bounces": 20,
+                "tolerance": 1e-5}  # fmt: skip
+    exact = bounce_block(
+        deep, direct, n_rays=[2048], seed=999, rounds=[0], **(settings | {"tolerance": 1e-9})
+    )
+    told, true = [], []
+    for seed in (0, 10, 20, 30):
+        found = bounce_block(
+            deep, direct, n_rays=[rays], later_rays=[later], noise_tolerance=allowed, seed=seed,
+            **settings,
+        )  # fmt: skip
+        told.append(found.noise_energy[0])
+        true.append(missed(scene, exact, found)[0])
+    # what bounces hand on of their errors is told as if each drew anew, a standard error is added
+    assert np.mean(true) < 2.0 * np.mean(told)
+    assert np.mean(told) < 4.0 * np.mean(true)

@@ -53,16 +53,15 @@ def test_several_rounds_are_one_after_the_other_here_and_at_some_vertices():
     whole = values
     for number in range(1, max(ROUNDS) + 1):
         whole = smoothing.apply(whole, 1)
-        if number in ROUNDS:
-            # sums in another order
-            np.testing.assert_allclose(
-                smoothing.at(values, chosen)[ROUNDS.index(number)], whole[chosen], atol=2e-6
-            )
-    around, rows = smoothing.rows(chosen)
+        # sums in another order
+        np.testing.assert_allclose(
+            smoothing.at(chosen, number).apply(values), whole[chosen], atol=2e-6
+        )
+    np.testing.assert_array_equal(smoothing.at(chosen, 0).apply(values), values[chosen])
+    around, means = smoothing.around(chosen)
     assert len(around) < scene.n_vertices
-    once = rows @ values[around, 0].reshape(-1, 3)
     np.testing.assert_allclose(
-        once.reshape(4, 5, 3), smoothing.apply(values, 1)[chosen, 0], atol=2e-6
+        means.apply(values[around]), smoothing.apply(values, 1)[chosen], atol=2e-6
     )
 
 
@@ -78,7 +77,7 @@ def test_what_is_even_on_a_plane_stays_whatever_the_frames(factorisation):
         )
     if factorisation is GLOSSY:
         # negative twin: means of the numbers, as if the frames were one
-        unturned = Smoothing.of_part(scene, 0, DIFFUSE).step @ values[:, :, 0]
+        unturned = Smoothing.of_part(scene, 0, DIFFUSE).weights @ values[:, :, 0]
         assert np.abs(unturned - values[:, :, 0]).max() > 0.05 * np.abs(values).max()
 
 
@@ -157,3 +156,20 @@ def test_vertices_that_no_face_or_area_holds_keep_their_values():
     scene = replace(scene, areas=np.zeros_like(scene.areas))
     values = np.random.default_rng(8).random((scene.n_vertices, 1, 2)).astype(np.float32)
     np.testing.assert_array_equal(smoothed(scene, DIFFUSE, values, 2), values)
+
+
+@pytest.mark.parametrize("missing", [0.0, np.nan])
+def test_a_vertex_without_a_normal_takes_part_in_no_mean(missing):
+    normals = ball(1).normals.copy()
+    normals[5] = missing
+    scene = Scene.from_parts([replace(ball(1), normals=normals)])
+    values = np.random.default_rng(9).random((scene.n_vertices, 5, 2)).astype(np.float32)
+    values[5] = 0.0
+    found = smoothed(scene, GLOSSY, values, 2)
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(found[5], values[5])
+    beyond = values.copy()
+    beyond[5] = 1e6
+    np.testing.assert_array_equal(
+        np.delete(smoothed(scene, GLOSSY, beyond, 2), 5, 0), np.delete(found, 5, 0)
+    )

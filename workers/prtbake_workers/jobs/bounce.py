@@ -204,9 +204,9 @@ def errors(results: Results) -> dict[str, float]:
     """Give the squared-error ratios of the bounces over each part's signal, as it is stored.
 
     ``left out`` bounds what comes after the last bounce where all parts are diffuse, and estimates
-    it elsewhere; ``rays`` is what their number leaves to chance in the first bounce, and
-    ``scattering`` what clusters and cut leave of the light that scatters inside, measured at a few
-    vertices of its direct light.
+    it elsewhere; ``rays`` is what their number leaves to chance, and means over neighbours blur,
+    measured at a few vertices; ``scattering`` is what clusters and cut leave of the light that
+    scatters inside, measured at a few vertices of its direct light.
     """
     blocks = results["bounces"]
     found: dict[str, float] = {}
@@ -299,9 +299,8 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
             f"added {last:.1e} of the energy, the tolerance is {tolerance:.1e}"
         )
     for index, part in enumerate(plan["parts"]):
-        rounds = max((block["rounds"][index] for block in blocks), default=0)
-        if rounds:
-            rays = max(block["n_rays"][index] for block in blocks)
+        ways = {(block["n_rays"][index], block["rounds"][index]) for block in blocks}
+        for rays, rounds in sorted(way for way in ways if way[1]):
             found.append(
                 f"{part['name']}: bounced light is that of {rays} rays a vertex, averaged over "
                 f"neighbours {rounds} time{'s'[: rounds - 1]}: measured to be nearer the truth"

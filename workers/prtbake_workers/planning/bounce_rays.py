@@ -1,7 +1,7 @@
 """How many rays a vertex look for bounced light, from what one ray alone would miss."""
 
 from collections.abc import Sequence
-from math import ceil
+from math import ceil, sqrt
 
 from prtbake_storage.contract.settings import BakeSettings
 from prtbake_workers.planning.decision import Decision
@@ -30,6 +30,15 @@ def noise_allowed(decided: Decision, bake: BakeSettings) -> float:
     measured by it.
     """
     return 0.0 if decided.forced else NOISE_SHARE * bake.bounce_tolerance
+
+
+def pilot_tolerance(decided: Decision, bake: BakeSettings) -> float:
+    """Give the squared-error ratio that one bounce may err by, for all to keep `noise_allowed`.
+
+    They share their rays, so their errors add up as amplitudes do: a geometric series.
+    """
+    share = min(decided.evidence["first_bounce_share"], 1.0)
+    return noise_allowed(decided, bake) * (1.0 - sqrt(share)) ** 2
 
 
 def bounce_rays(decided: Decision, bake: BakeSettings) -> tuple[int, ...]:

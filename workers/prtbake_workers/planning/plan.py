@@ -14,7 +14,7 @@ from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
-from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, noise_allowed
+from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, pilot_tolerance
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.cost import (
     CHILD_START_S,
@@ -82,9 +82,9 @@ class BouncePlan:
     ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
     has bounces of its own, as ``coloured`` says, or a medium has colours.  ``n_rays`` are those of
     a vertex, part by part, in the first bounce and ``later_rays`` in those after it, at most: fewer
-    where their noise is measured to be below ``noise_tolerance``.  Parts in ``scattering`` scatter
-    light inside, their clusters within ``solid_angles`` steradians each; ``max_bounces`` is 0 where
-    that is all there is.
+    where one bounce by them is measured to err by less than ``noise_tolerance`` of direct light.
+    Parts in ``scattering`` scatter light inside, their clusters within ``solid_angles`` steradians
+    each; ``max_bounces`` is 0 where that is all there is.
     """
 
     n_channels: int
@@ -222,7 +222,7 @@ def plan_bounces(
         coloured=coloured,
         n_rays=n_rays,
         later_rays=later,
-        noise_tolerance=noise_allowed(by_name["interreflection"], bake),
+        noise_tolerance=pilot_tolerance(by_name["interreflection"], bake),
         max_bounces=bake.max_bounces if bounced else 0,
         tolerance=bake.bounce_tolerance,
         scattering=tuple(sorted(limits)),

@@ -15,9 +15,9 @@ ERRORS_ARE = {
     "bake": "what the projection leaves of the transport in the directions of the fit and in "
     "others, and what 16 bits change of its coefficients: weighted by area, over the transport "
     "sampled in the same directions; over that of the fit for the 16 bits",
-    "bounces": "what the number of rays leaves to chance in the first bounce, what 16 bits change "
-    "of the bounces, what later bounces would add, and what clusters leave of the light that "
-    "scatters inside: weighted by area, over the transport with its bounces",
+    "bounces": "what the number of rays leaves to chance and means over neighbours blur, what 16 "
+    "bits change of the bounces, what later bounces would add, and what clusters leave of the "
+    "light that scatters inside: weighted by area, over the transport with its bounces",
     "compress": "what clusters and ranks leave of the stored coefficients: weighted by area, over "
     "these coefficients",
     "quantise": "of a part: what 16 bits change of the compressed coefficients, weighted by area, "

@@ -1,4 +1,8 @@
-"""What few rays leave of a bounce to chance, and how far means over neighbours mend it."""
+"""What few rays leave of bounces to chance, and how far means over neighbours mend it.
+
+With x and y two fresh draws of a row, t the truth and f anything that shares no ray with them,
+``E <f - x, f - y> = |f - t|^2``: chance and blur together, without bias.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -13,11 +17,11 @@ VERTICES = 128
 """Of each part, gathered again, twice."""
 
 Gather = Callable[[int, I64, int], F32]
-"""From a part, vertices in scene numbering and a seed to what these receive in one bounce."""
+"""From a part, vertices in scene numbering and a seed to what these receive."""
 
 
 class BounceError(NamedTuple):
-    """Expected squared errors of a bounce, area-weighted, and the rounds of means behind them."""
+    """Expected squared errors of bounces, area-weighted, and the rounds of means behind them."""
 
     energy: Float64[F64, " parts"]
     rounds: tuple[int, ...]
@@ -31,53 +35,55 @@ def row_norms(
     return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
 
 
-def draw_vertices(areas: Float64[F64, " verts"], count: int, seed: int) -> Int64[I64, " count"]:
+def draw_vertices(
+    areas: Float64[F64, " verts"], count: int, seed: Sequence[int]
+) -> Int64[I64, " count"]:
     """Draw vertices by area, in order; some may come twice."""
     weights = np.maximum(areas, 0.0)
-    rng = np.random.default_rng([seed, 1])
+    rng = np.random.default_rng(seed)
     return np.sort(rng.choice(len(areas), count, p=weights / weights.sum()))
 
 
-def mean_error(
+def squared_errors(
     found: Float32[F32, "verts channels terms coeffs"],
     first: Float32[F32, "verts channels terms coeffs"],
     second: Float32[F32, "verts channels terms coeffs"],
-) -> float:
-    """Estimate the mean squared error of rows from two independent draws of them without bias.
+) -> Float64[F64, " verts"]:
+    """Estimate the squared error of each row from two draws of it; one alone may be negative."""
+    return np.asarray(((found - first) * (found - second)).sum(axis=(1, 2, 3), dtype=np.float64))
 
-    One standard error of the estimate is added to it.
-    """
-    errors = ((found - first) * (found - second)).sum(axis=(1, 2, 3), dtype=np.float64)
-    return float(errors.mean() + errors.std() / np.sqrt(len(errors)))
+
+def at_most(errors: Float64[F64, " verts"]) -> float:
+    """Give the mean, not below 0, and one standard error of it on top."""
+    return max(float(errors.mean()), 0.0) + _standard_error(errors)
 
 
 def bounce_error(
     scene: Scene,
     gather: Gather,
+    bounced: Sequence[Float32[F32, "_ channels _ coeffs"] | None],
+    smoothings: Sequence[Smoothing | None],
     *,
     seed: int,
-    arriving: Sequence[Float32[F32, "_ channels _ coeffs"]] | None = None,
-    smoothings: Sequence[Smoothing | None] = (),
     rounds: Sequence[int] | None = None,
 ) -> BounceError:
-    """Measure the squared error of one bounce, part by part, and choose the rounds that lower it.
+    """Measure the squared error of what bounces brought, and choose the means that lower it.
 
-    With x and y two fresh draws of a row, half of ``|x - y|^2`` is expected to be the error of
-    either, and ``<f - x, f - y>`` that of anything else, f: chance and blur together.  Rounds are
-    taken where their error is the smaller by more than its own standard error, which is added.
+    Rounds are taken where the error falls by more than the standard error of its fall.
 
     Parameters
     ----------
     scene
         All parts.
     gather
-        The bounce, at some vertices.
+        Fresh draws of the same at some vertices.
+    bounced
+        What was brought, one array a part; None where half of ``|x - y|^2`` is to stand for it,
+        which is the error of a fresh draw.
+    smoothings
+        Means over each part, or None.
     seed
         Of the vertices; the draws take the two after it.
-    arriving
-        The bounce everywhere, one array a part: what means are taken of.  None takes none.
-    smoothings
-        Means over each part, or None; empty for no part.
     rounds
         Taken as they are, a number a part, where given.
     """
@@ -87,16 +93,25 @@ def bounce_error(
         areas = np.maximum(scene.areas[start:stop], 0.0)
         if not areas.sum() > 0.0:
             continue
-        chosen = draw_vertices(areas, VERTICES, seed)
+        chosen = draw_vertices(areas, VERTICES, [seed, 1])
         x, y = (gather(part, start + chosen, own) for own in (seed + 1, seed + 2))
-        least = 0.5 * float((row_norms(x - y) ** 2).sum(axis=1).mean())
-        smoothing = smoothings[part] if smoothings else None
-        if smoothing is not None and arriving is not None and least > 0.0:
-            tried = ROUNDS if rounds is None else tuple({rounds[part]} - {0})
-            for number, smooth in zip(
-                tried, smoothing.at(arriving[part], chosen, tried), strict=True
-            ):
-                if (error := mean_error(smooth, x, y)) < least or rounds is not None:
-                    least, taken[part] = error, number
-        energy[part] = float(areas.sum()) * least
+        brought, smoothing = bounced[part], smoothings[part]
+        if brought is None:
+            errors = 0.5 * (row_norms(x - y) ** 2).sum(axis=1)
+        else:
+            plain = errors = squared_errors(brought[chosen], x, y)
+            if smoothing is not None:
+                tried = ROUNDS if rounds is None else (rounds[part],)
+                for number in tried:
+                    smooth = smoothing.at(chosen, number).apply(brought)
+                    found = squared_errors(smooth, x, y)
+                    fall = plain - found
+                    helps = fall.mean() > _standard_error(fall) and found.mean() < errors.mean()
+                    if helps or rounds is not None:
+                        errors, taken[part] = found, number
+        energy[part] = float(areas.sum()) * at_most(errors)
     return BounceError(energy, tuple(taken))
+
+
+def _standard_error(values: Float64[F64, " n"]) -> float:
+    return float(values.std() / np.sqrt(len(values)))

@@ -42,8 +42,8 @@ class BouncedBlock:
         The sum of all bounces, one array a part; of a part that scatters all that leaves it, the
         direct light included, in place of its direct transfer.
     direct_energy, total_energy
-        Of the direct transfer, counted once a channel, and of its sum with the bounces; of a part
-        that scatters both as they leave it.
+        Of the direct transfer, counted once a channel, and of its sum with what was added; of a
+        part that scatters both as they leave it.
     bounce_energies
         Of each bounce by itself, a row a bounce.
     remainder_energy
@@ -51,9 +51,10 @@ class BouncedBlock:
         traced, else an estimate from the last two bounces.  None where bounces do not fade or
         none was asked for.
     noise_energy
-        Expected squared error of the first bounce, from its rays being few and from means over
-        neighbours where those are taken, and of the others where they have fewer rays; of a part
-        that scatters at most so much, as scattering evens it out.
+        Expected squared error of all bounces from their rays being few and from means over
+        neighbours where those are taken, as measured at some vertices, see `bounce_error`.  What
+        bounces hand on of it is added as if each drew anew.  Of a part that scatters at most so
+        much, as scattering evens it out.
     rounds
         Of means over neighbours, a number a part, see `Smoothing`.
     n_rays
@@ -138,7 +139,7 @@ def bounce_block(
     is negative (see `interreflection.bounce_series`); the sum is cut where its terms have sunk to
     `TAIL_SHARE` and its tail is added as a geometric series of its last ratio.
 
-    Memory: the rays (see `BounceGather`), and the block three times a channel.
+    Memory: the rays (see `BounceGather`), and the block four times a channel.
     """
     if max_bounces < 0:
         raise SettingsError(f"max_bounces must not be negative, got {max_bounces}")
@@ -150,7 +151,6 @@ def bounce_block(
     sent = _leaving(media, [np.repeat(one[:, None], n_channels, axis=1) for one in direct])
     totals = [one.copy() for one in sent]
     direct_energy = total = _energy(scene, sent)
-    error = BounceError(np.zeros(len(direct)), (0,) * len(direct))
     smoothings = [
         Smoothing.of_part(scene, part, own) if max_bounces and medium is None else None
         for part, (own, medium) in enumerate(zip(factorisations, media, strict=True))
@@ -162,21 +162,10 @@ def bounce_block(
     energies: list[F64] = []
     while len(energies) < max_bounces and total.any():
         if len(energies) == 1 and later_rays is not None and list(later_rays) != list(n_rays):
+            # the first ones go before the others come
+            gathers = []
             gathers = casting.parts(later_rays)
-            again = bounce_error(scene, casting.at_some(sent, media, later_rays), seed=seed)
-            error = error._replace(
-                energy=error.energy + again.energy * _onwards(direct_energy, energies[0])
-            )
         arriving = [gather.apply(sent) for gather in gathers]
-        if not energies:
-            error = bounce_error(
-                scene,
-                casting.at_some(sent, media, n_rays),
-                seed=seed,
-                arriving=arriving,
-                smoothings=smoothings,
-                rounds=rounds,
-            )
         sent = _leaving(media, arriving)
         for whole, one in zip(totals, sent, strict=True):
             whole += one
@@ -194,29 +183,54 @@ def bounce_block(
             if is_bound
             else _geometric([direct_energy, *energies])
         )
-    added = []
-    for part, (whole, one) in enumerate(zip(totals, direct, strict=True)):
-        if media[part] is None:
+    noise, error = np.zeros(len(direct)), BounceError(np.zeros(len(direct)), (0,) * len(direct))
+    if energies:
+        again = casting.at_some(
+            [whole - last for whole, last in zip(totals, sent, strict=True)],
+            media,
+            n_rays if later_rays is None else _of_media(media, later_rays, n_rays),
+        )
+    for whole, one, medium in zip(totals, direct, media, strict=True):
+        if medium is None:
             whole -= one[:, None]
-        smoothing = smoothings[part]
-        added.append(whole if smoothing is None else smoothing.apply(whole, error.rounds[part]))
+    if energies:
+        bounced = [
+            whole if medium is None else None for whole, medium in zip(totals, media, strict=True)
+        ]
+        error = bounce_error(scene, again, bounced, smoothings, seed=seed, rounds=rounds)
+        noise = error.energy * _handed_on([direct_energy, *energies])
+        for part, smoothing in enumerate(smoothings):
+            if smoothing is not None:
+                totals[part] = smoothing.apply(totals[part], error.rounds[part])
+        total = _energy(
+            scene,
+            [
+                whole + one[:, None] if medium is None else whole
+                for whole, one, medium in zip(totals, direct, media, strict=True)
+            ],
+        )
     return BouncedBlock(
-        added=tuple(added),
+        added=tuple(totals),
         direct_energy=direct_energy,
         total_energy=total,
         bounce_energies=np.reshape(energies, (-1, len(direct))),
         remainder_energy=remainder,
         is_bound=is_bound,
-        noise_energy=error.energy,
+        noise_energy=noise,
         rounds=error.rounds,
         n_rays=tuple(n_rays),
         counters=dict(casting.counters),
     )
 
 
-def _onwards(before: Float64[F64, " parts"], now: Float64[F64, " parts"]) -> float:
-    """Sum a geometric series of energies, from two that follow each other, over the first."""
-    return 1.0 / (1.0 - min(float(now.sum() / before.sum()), 0.99))
+def _of_media(
+    media: Sequence[PartScattering | None], inside: Sequence[int], outside: Sequence[int]
+) -> list[int]:
+    """Choose numbers of rays: one for parts that scatter, another for those that do not."""
+    return [
+        other if medium is None else own
+        for medium, own, other in zip(media, inside, outside, strict=True)
+    ]
 
 
 def _leaving(media: Sequence[PartScattering | None], arriving: Sequence[F32]) -> list[F32]:
@@ -262,6 +276,12 @@ def _majorant(
             return _energy(scene, bound)
         before = now
     return None
+
+
+def _handed_on(energies: Sequence[Float64[F64, " parts"]]) -> float:
+    """Sum a geometric series of the last two energies, whole scenes, over its first term."""
+    before, last = (float(one.sum()) for one in energies[-2:])
+    return 1.0 / (1.0 - min(last / before, 0.99)) if before > 0.0 else 1.0
 
 
 def _geometric(energies: Sequence[Float64[F64, " parts"]]) -> F64 | None:

@@ -6,12 +6,9 @@ many depends on how fast bounced light changes along the surface, which only lig
 
 from collections.abc import Callable
 from math import ceil
-from typing import Any
 
-import numpy as np
-
-from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
-from prtbake_workers.transport.bounce_error import draw_vertices, mean_error
+from prtbake_workers.arrays import F32, F64, I64, Float64, Int64
+from prtbake_workers.transport.bounce_error import at_most, draw_vertices, squared_errors
 from prtbake_workers.transport.smoothing import Smoothing
 
 VERTICES = 64
@@ -20,15 +17,14 @@ VERTICES = 64
 FEWEST = 8
 """Rays tried first."""
 
-TRIALS = 2
-"""Numbers tried: the second is what the first one's error asks for if all of it is chance.  Where
-that does not do either, means blur too much and more rays would not help."""
-
 MARGIN = 1.1
 """More rays than chance alone asks for."""
 
 FALL = 4.0 / 3.0
 """Squared errors by chance fall with the rays to this power, see `planning.bounce_rays`."""
+
+BLURRED = 2.0
+"""Times the error that chance alone would leave: above it means blur, and no ray mends that."""
 
 
 def pilot_rays(
@@ -41,6 +37,8 @@ def pilot_rays(
     seed: int,
 ) -> int:
     """Find the fewest rays a vertex whose bounce, after one round of means, errs less than allowed.
+
+    `FEWEST` are tried, then what their error asks for if all of it is chance.
 
     Parameters
     ----------
@@ -56,33 +54,31 @@ def pilot_rays(
     allowed
         Mean squared error of a vertex.
     seed
-        Of the rays; those that the error is measured against take the two after it.
+        Of the bake: vertices and rays are others than those that it takes and is measured by.
     """
-    if most <= FEWEST or not areas.sum() > 0.0:
+    if most <= FEWEST or not allowed > 0.0 or not areas.sum() > 0.0:
         return most
-    chosen = draw_vertices(areas, VERTICES, seed)
-    around, rows = smoothing.rows(chosen)
-    x, y = (gather(chosen, most, seed + step) for step in (1, 2))
-    n_rays = FEWEST
-    for _ in range(TRIALS):
-        tried = gather(around, n_rays, seed)
-        smooth = np.stack(
-            [_product(rows, tried[:, channel]) for channel in range(tried.shape[1])], axis=1
-        )
-        error = mean_error(smooth, x, y)
-        if error <= allowed:
-            return n_rays
-        if allowed <= 0.0:
-            break
-        n_rays = ceil(MARGIN * n_rays * (error / allowed) ** (1.0 / FALL))
-        if n_rays >= most:
-            break
-    return most
+    chosen = draw_vertices(areas, VERTICES, [seed, 2])
+    around, means = smoothing.around(chosen)
+    x, y = (gather(chosen, most, seed + step) for step in (4, 5))
+
+    def error_of(n_rays: int) -> float:
+        return at_most(squared_errors(means.apply(gather(around, n_rays, seed + 3)), x, y))
+
+    first = error_of(FEWEST)
+    if first <= allowed:
+        return FEWEST
+    n_rays = _more(FEWEST, first / allowed)
+    if n_rays >= most:
+        return most
+    second = error_of(n_rays)
+    if second <= allowed:
+        return n_rays
+    if second > BLURRED * first * (FEWEST / n_rays) ** FALL:
+        return most
+    return min(most, _more(n_rays, second / allowed))
 
 
-def _product(
-    rows: Any, received: Float32[F32, "around terms coeffs"]
-) -> Float32[F32, "verts terms coeffs"]:
-    n_terms, n_coeffs = received.shape[1:]
-    flat = np.ascontiguousarray(received).reshape(-1, n_coeffs)
-    return np.asarray(rows @ flat).reshape(-1, n_terms, n_coeffs)
+def _more(n_rays: int, ratio: float) -> int:
+    more: int = ceil(MARGIN * n_rays * ratio ** (1.0 / FALL))
+    return more
