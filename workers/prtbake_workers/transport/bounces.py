@@ -16,7 +16,7 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_casting import BounceCasting
-from prtbake_workers.transport.bounce_error import BounceError, bounce_error, row_norms
+from prtbake_workers.transport.bounce_error import bounce_error, row_norms
 from prtbake_workers.transport.part_scattering import PartScattering
 from prtbake_workers.transport.separable_bounce import BounceGather
 from prtbake_workers.transport.smoothing import Smoothing
@@ -183,41 +183,44 @@ def bounce_block(
             if is_bound
             else _geometric([direct_energy, *energies])
         )
-    noise, error = np.zeros(len(direct)), BounceError(np.zeros(len(direct)), (0,) * len(direct))
+    # all that bounces were cast from, and what they brought; in place, as blocks are large
+    origin = [np.subtract(whole, last, out=last) for whole, last in zip(totals, sent, strict=True)]
+    added = [
+        np.subtract(whole, one[:, None], out=whole) if medium is None else whole
+        for whole, one, medium in zip(totals, direct, media, strict=True)
+    ]
+    noise, taken = np.zeros(len(direct)), (0,) * len(direct)
     if energies:
-        again = casting.at_some(
-            [whole - last for whole, last in zip(totals, sent, strict=True)],
-            media,
-            n_rays if later_rays is None else _of_media(media, later_rays, n_rays),
+        rays = n_rays if later_rays is None else _of_media(media, later_rays, n_rays)
+        error = bounce_error(
+            scene,
+            casting.at_some(origin, media, rays),
+            [one if medium is None else None for one, medium in zip(added, media, strict=True)],
+            smoothings,
+            seed=seed,
+            rounds=rounds,
         )
-    for whole, one, medium in zip(totals, direct, media, strict=True):
-        if medium is None:
-            whole -= one[:, None]
-    if energies:
-        bounced = [
-            whole if medium is None else None for whole, medium in zip(totals, media, strict=True)
+        noise, taken = error.energy * _handed_on([direct_energy, *energies]), error.rounds
+        added = [
+            one if smoothing is None else smoothing.apply(one, number)
+            for one, smoothing, number in zip(added, smoothings, taken, strict=True)
         ]
-        error = bounce_error(scene, again, bounced, smoothings, seed=seed, rounds=rounds)
-        noise = error.energy * _handed_on([direct_energy, *energies])
-        for part, smoothing in enumerate(smoothings):
-            if smoothing is not None:
-                totals[part] = smoothing.apply(totals[part], error.rounds[part])
         total = _energy(
             scene,
             [
-                whole + one[:, None] if medium is None else whole
-                for whole, one, medium in zip(totals, direct, media, strict=True)
+                one + first[:, None] if medium is None else one
+                for one, first, medium in zip(added, direct, media, strict=True)
             ],
         )
     return BouncedBlock(
-        added=tuple(totals),
+        added=tuple(added),
         direct_energy=direct_energy,
         total_energy=total,
         bounce_energies=np.reshape(energies, (-1, len(direct))),
         remainder_energy=remainder,
         is_bound=is_bound,
         noise_energy=noise,
-        rounds=error.rounds,
+        rounds=taken,
         n_rays=tuple(n_rays),
         counters=dict(casting.counters),
     )
