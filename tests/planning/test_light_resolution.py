@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.contract.settings import BakeSettings
-from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.basis.srbf import SrbfBasis, default_bandwidth
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
@@ -29,6 +29,7 @@ from prtbake_workers.planning.plan import resolves
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.held_out import held_out_energies
+from support.bounce_scenes import bowl
 
 DIFFUSE = factorise(Lambert(np.array([0.5])))
 BLACK = factorise(Lambert(np.array([0.0])))
@@ -68,9 +69,11 @@ def numbers(found):
     return found.bake.n_centres, found.bake.cube_resolution
 
 
-def baked_error(scene, accelerator, part, factorisation, n_centres, resolution):
+def baked_error(scene, accelerator, part, factorisation, n_centres, resolution, *, bandwidth=None):
     """What a bake's report calls the error in other directions."""
-    basis = SrbfBasis(icosphere(CENTRES.index(n_centres)))
+    basis = SrbfBasis(
+        icosphere(CENTRES.index(n_centres)), bandwidth or default_bandwidth(n_centres)
+    )
     cube = cube_directions(resolution)
     block = bake_block(
         scene, accelerator, scene.part_ranges[part], factorisation=factorisation, directions=cube,
@@ -127,6 +130,28 @@ def test_the_bake_errs_by_what_was_predicted(pot, first, tolerance):
         # negative twin: without the shadows the prediction is off by far more
         assert bare[name] != pytest.approx(baked, rel=0.3)
     assert max(predicted.values()) == found.decision.evidence["predicted_error"] <= tolerance
+
+
+def test_a_given_bandwidth_is_the_one_that_is_tried():
+    """Nine times the usual one: functions so narrow leave holes that no direction fills."""
+    scene = Scene.from_parts([bowl(8, 20)])
+    accelerator = Accelerator(scene.positions, scene.faces)
+    narrow = 9.0 * default_bandwidth(162)
+    settings = {"n_centres": 162, "projection_tolerance": 0.05}
+    found = chosen(scene, [DIFFUSE], accelerator, bandwidth=narrow, **settings)
+    predicted = found.decision.evidence["predicted_error"]
+    baked = baked_error(
+        scene, accelerator, 0, DIFFUSE, *numbers(found), bandwidth=found.bake.bandwidth
+    )
+    # as of other bakes
+    assert predicted == pytest.approx(baked, rel=0.3)
+    assert len(found.notes) == 1
+    # negative twin: by the usual one it would be three times less, and within the tolerance
+    usual = chosen(scene, [DIFFUSE], accelerator, **settings)
+    assert usual.decision.evidence["predicted_error"] <= 0.05 < 0.5 * baked
+    # which is what null stands for
+    same = chosen(scene, [DIFFUSE], accelerator, bandwidth=default_bandwidth(162), **settings)
+    assert same.decision == usual.decision
 
 
 def test_what_was_left_for_less_would_have_missed_the_tolerance(pot):

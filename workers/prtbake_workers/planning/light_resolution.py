@@ -140,7 +140,7 @@ def choose_light_resolution(
     tolerance = bake.projection_tolerance
     tried: list[Candidate] = []
     with threadpool_limits(limits=1, user_api="blas"):
-        trials = _Trials(probed, candidates(bake), bake.supersample, rng)
+        trials = _Trials(probed, bake, rng)
         for n_centres in trials.resolutions:
             tried += trials.candidates_of(n_centres)
             if any(one.error <= tolerance for one in tried):
@@ -208,13 +208,14 @@ class _Trials:
     def __init__(
         self,
         parts: Sequence[SampledTransfer],
-        resolutions: dict[int, tuple[int, ...]],
-        supersample: int,
+        bake: BakeSettings,
         rng: np.random.Generator,
     ) -> None:
-        self.resolutions = resolutions
+        self.resolutions = resolutions = candidates(bake)
         self.parts = parts
-        self.supersample = supersample
+        self.supersample = bake.supersample
+        # given, it goes with a number of centres that is given
+        self.bandwidth = bake.bandwidth
         self.owner = np.repeat(np.arange(len(parts)), [part.n_functions for part in parts])
         self.held_out = ProbeDirections.held_out(HELD_OUT_RESOLUTION, rng)
         self.truth = self._sample(self.held_out)
@@ -224,7 +225,8 @@ class _Trials:
 
     def candidates_of(self, n_centres: int) -> list[Candidate]:
         """Fit at every resolution, and at the finest."""
-        basis = TrialBasis.of(icosphere(CENTRES.index(n_centres)), default_bandwidth(n_centres))
+        bandwidth = self.bandwidth or default_bandwidth(n_centres)
+        basis = TrialBasis.of(icosphere(CENTRES.index(n_centres)), bandwidth)
         resolutions = self.resolutions[n_centres]
         errors = {
             one: self._error(basis, one) for one in dict.fromkeys((*resolutions, self.finest))
