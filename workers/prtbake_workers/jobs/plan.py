@@ -145,6 +145,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
     notes: tuple[str, ...] = ()
+    probe_bytes = 0
     if settings.bake.open_numbers:
         chosen = choose_light_resolution(
             scene,
@@ -155,6 +156,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             seed=args["seed"] + 6,
         )
         settings, notes = replace(settings, bake=chosen.bake), chosen.notes
+        probe_bytes = chosen.memory_bytes
         effects.append(chosen.decision)
     plan = make_plan(
         scene,
@@ -177,6 +179,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         media={part: own for part, own in enumerate(media) if own is not None},
         scattering=dict(zip(scattering.parts, scattering.limits, strict=True)),
         n_oriented=sum(own is not None for own in grain),
+        probe_bytes=probe_bytes,
     )
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan

@@ -34,9 +34,10 @@ SCATTERED_PATHS_PER_SECOND = 5.0e4
 CHILD_START_S = 1.5
 ORIENTED_SECONDS, ORIENTED_BYTES = 8.0, 300_000_000
 """Of factorising one anisotropic BRDF; an isotropic one takes a fraction of a second."""
-PROBE_SECONDS, PROBE_BYTES = 3.0, 250_000_000
-"""Of trying up to 642 centres on a few vertices; 2562 take some 5 s more, and no more memory than
-solving for them does."""
+PROBE_SECONDS = 3.0
+"""Of trying up to 642 centres on a few vertices; 2562 take some 5 s more."""
+FITTED_DIRECTIONS, HELD_OUT_DIRECTIONS = 2048, 1536
+"""Of a trial, at which samples stand in float64 at once."""
 TILE_SECONDS = 8.0
 """A tile is the unit of resumption: long against its start, short against a human's patience."""
 TILE_BYTES = 400_000_000
@@ -82,16 +83,34 @@ def tile_vertices(
     return chunk * max(1, int(wanted // chunk))
 
 
-def plan_memory_bytes(bake: PlannedBake, *, oriented: bool = False, probed: bool = False) -> int:
+def probe_memory_bytes(*, n_functions: int, n_directions: int, n_coeffs: int) -> int:
+    """Predict the peak memory of trying directions and centres, without the interpreter.
+
+    Parameters
+    ----------
+    n_functions
+        Vertices x terms of all parts, or fewer sums of these.
+    n_directions
+        At which all of them are held.
+    n_coeffs
+        The most centres that were tried.
+    """
+    samples = 4 * n_functions * n_directions
+    # what a fit misses and its square, or what it solves for: a block, their sum and the solution
+    fitting = 8 * n_functions * max(2 * HELD_OUT_DIRECTIONS, FITTED_DIRECTIONS + 3 * n_coeffs)
+    system = 8 * (FITTED_DIRECTIONS * n_coeffs + 3 * n_coeffs**2)
+    return samples + max(fitting + system, WORKSPACE_BYTES)
+
+
+def plan_memory_bytes(bake: PlannedBake, *, oriented: bool = False, probe_bytes: int = 0) -> int:
     """Predict the peak memory of planning: basis and projection, without scene and texture.
 
-    ``oriented`` tells that a BRDF is anisotropic, which is factorised before; ``probed`` that
-    planning chose directions or centres.
+    ``oriented`` tells that a BRDF is anisotropic, which is factorised before; ``probe_bytes`` what
+    choosing directions or centres held, see `probe_memory_bytes`.
     """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
     solving = 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
-    before = max(ORIENTED_BYTES if oriented else 0, PROBE_BYTES if probed else 0)
-    return CHILD_BYTES + max(solving, before)
+    return CHILD_BYTES + max(solving, ORIENTED_BYTES if oriented else 0, probe_bytes)
 
 
 def tile_memory_bytes(bake: PlannedBake, *, n_terms: int, n_verts: int) -> int:

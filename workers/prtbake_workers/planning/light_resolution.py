@@ -19,6 +19,7 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.cost import probe_memory_bytes
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.plan import resolves
 from prtbake_workers.planning.presets import PlannedBake
@@ -33,11 +34,12 @@ CENTRES = (12, 42, 162, 642, 2562)
 RESOLUTIONS = (8, 12, 16, 24, 32, 48)
 """Of the cube map; the last resolves 2562 centres."""
 
-VERTICES, MOST_OF_A_PART, LEAST_OF_A_PART = 384, 128, 48
-"""Looked at in all, and of one part.  128 tell its error within about a tenth."""
+VERTICES, MOST_OF_A_PART, FEWEST_OF_A_PART = 384, 128, 16
+"""Looked at in all, unless the fewest of every part are more, and of one part.  128 tell its error
+within about a tenth."""
 
-MOST_RAYS, FEWEST_VERTICES = 100_000_000, 16
-"""Traced in all, half a minute's: more supersamples leave fewer vertices, but so many of a part."""
+MOST_RAYS = 100_000_000
+"""Traced in all, half a minute's: more supersamples leave fewer vertices, to the fewest."""
 
 HELD_OUT_RESOLUTION = 16
 """Of the cube map that is turned at random: 1536 directions."""
@@ -77,11 +79,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class LightResolution:
-    """Settings with nothing left open, why they are what they are, and what a report should say."""
+    """Settings with nothing left open, why they are what they are, and what a report should say.
+
+    ``memory_bytes`` is what trying is predicted to have held, see `probe_memory_bytes`.
+    """
 
     bake: PlannedBake
     decision: Decision
     notes: tuple[str, ...]
+    memory_bytes: int
 
 
 def candidates(bake: BakeSettings) -> dict[int, tuple[int, ...]]:
@@ -169,14 +175,19 @@ def choose_light_resolution(
             ),
         ),
         () if chosen.error <= tolerance else (words,),
+        probe_memory_bytes(
+            n_functions=trials.n_functions,
+            n_directions=trials.n_directions,
+            n_coeffs=tried[-1].n_centres,
+        ),
     )
 
 
 def _vertices_of_a_part(bake: BakeSettings, n_parts: int) -> int:
     resolutions = {RESOLUTIONS[-1]}.union(*candidates(bake).values())
     rays = 3 * sum(one**2 for one in resolutions) * bake.supersample**2
-    affordable = max(FEWEST_VERTICES, MOST_RAYS // (rays * n_parts))
-    return min(affordable, max(LEAST_OF_A_PART, min(MOST_OF_A_PART, VERTICES // n_parts)))
+    affordable = min(MOST_OF_A_PART, VERTICES // n_parts, MOST_RAYS // (rays * n_parts))
+    return max(FEWEST_OF_A_PART, affordable)
 
 
 def pick(tried: Sequence[Candidate], tolerance: float) -> Candidate:
@@ -223,6 +234,17 @@ class _Trials:
         self.sampled: dict[int, tuple[ProbeDirections, F32]] = {}
         self.finest = max(RESOLUTIONS[-1], *(one[-1] for one in resolutions.values()))
 
+    @property
+    def n_functions(self) -> int:
+        """Number of functions, of all parts."""
+        return len(self.owner)
+
+    @property
+    def n_directions(self) -> int:
+        """Number of directions at which these are held at once, the held-out ones included."""
+        cubes = {self.finest}.union(*self.resolutions.values())
+        return self.held_out.n + 6 * sum(one**2 for one in cubes)
+
     def candidates_of(self, n_centres: int) -> list[Candidate]:
         """Fit at every resolution, and at the finest."""
         bandwidth = self.bandwidth or default_bandwidth(n_centres)
@@ -231,6 +253,7 @@ class _Trials:
         errors = {
             one: self._error(basis, one) for one in dict.fromkeys((*resolutions, self.finest))
         }
+        self._drop(n_centres)
         return [
             Candidate(n_centres, one, tuple(errors[one]), tuple(errors[self.finest]))
             for one in resolutions
@@ -248,8 +271,21 @@ class _Trials:
         shares = missed / np.where(self.signal > 0.0, self.signal, np.inf)
         return [float(share) for share in shares]
 
+    def _drop(self, n_centres: int) -> None:
+        """Free the samples that no larger number of centres asks for."""
+        later = {self.finest}.union(
+            *(fine for count, fine in self.resolutions.items() if count > n_centres)
+        )
+        self.sampled = {one: own for one, own in self.sampled.items() if one in later}
+
     def _sample(self, at: ProbeDirections) -> F32:
-        return np.concatenate([part.sample(at) for part in self.parts])
+        # no part's samples are held twice but those of the last
+        found = np.empty((self.n_functions, at.n), np.float32)
+        start = 0
+        for part in self.parts:
+            found[start : start + part.n_functions] = part.sample(at)
+            start += part.n_functions
+        return found
 
     def _sum(self, energies: Float64[F64, " functions"]) -> Float64[F64, " parts"]:
         """Add up what functions have, part by part."""

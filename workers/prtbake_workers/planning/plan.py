@@ -256,6 +256,7 @@ def make_plan(
     media: Mapping[int, Dipole] = MappingProxyType({}),
     scattering: Mapping[int, ClusterLimit] = MappingProxyType({}),
     n_oriented: int = 0,
+    probe_bytes: int = 0,
 ) -> Plan:
     """Lay out parts and tiles and predict their cost.
 
@@ -263,7 +264,8 @@ def make_plan(
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
     ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
     ``scattering`` the parts of these whose scattering is simulated with what its clusters are
-    allowed, ``n_oriented`` how many parts have an anisotropic BRDF.
+    allowed, ``n_oriented`` how many parts have an anisotropic BRDF, ``probe_bytes`` the memory that
+    choosing directions or centres took.
     """
     bake = settings.planned_bake
     simulated = {part: media[part] for part in scattering}
@@ -331,7 +333,7 @@ def make_plan(
         ),
     }
     memory = {
-        "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probed=probed),
+        "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probe_bytes=probe_bytes),
         "bake": max(
             tile_memory_bytes(
                 bake,
