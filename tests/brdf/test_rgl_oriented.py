@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.errors import BrdfError
-from prtbake_workers.brdf import oriented_checks
+from prtbake_workers.brdf import oriented_checks, rgl_oriented
 from prtbake_workers.brdf.base import is_isotropic
 from prtbake_workers.brdf.checks import check_reciprocity
 from prtbake_workers.brdf.factorise import factorise
@@ -181,15 +181,68 @@ def test_grazing_light_and_view_are_finite(tensor):
 
 
 @pytest.mark.parametrize(
+    ("phi_i", "reduction"),
+    [
+        (np.linspace(-np.pi, -np.pi / 2, 4), 4),
+        (np.linspace(-np.pi, 0, 5), 2),
+        (np.linspace(-np.pi, np.pi, 9), 1),
+        # whole turns without their end; the first has half a turn and one step
+        (np.array([-np.pi, -np.pi / 3, np.pi / 3]), 1),
+        (np.linspace(-np.pi, np.pi, 9)[:-1], 1),
+        # at the middles of equal parts
+        (np.linspace(-np.pi, np.pi, 17)[1::2], 1),
+        (np.linspace(-np.pi, 0, 17)[1::2], 2),
+        (np.linspace(-np.pi, -np.pi / 2, 9)[1::2], 4),
+    ],
+    ids=range(8),
+)
+def test_azimuths_tell_the_part_of_a_turn_that_they_span(phi_i, reduction):
+    # as files hold them
+    assert rgl_oriented._reduction(phi_i.astype("f4").astype(np.float64)) == reduction
+
+
+def test_a_whole_turn_without_its_end_goes_around(directions):
+    """The azimuth that is left out was measured at the other end."""
+    fields = oriented_fields(Skewed(), SLOPES, reduction=1, n_azimuths=9, n_lights=4, n=10)
+    whole = rgl_from_tensors(fields)[0]
+    cut = {name: fields[name][:-1] for name in ("phi_i", "vndf", "rgb")}
+    open_ended = rgl_from_tensors(fields | cut)[0]
+    assert open_ended.reduction == 1
+    wi, wo = directions(2000), directions(2000, seed=2)
+    # rounding of float32 azimuths and tables, in sums over a hundred nodes
+    expected = whole.eval_brdf(wi, wo)
+    np.testing.assert_allclose(open_ended.eval_brdf(wi, wo), expected, rtol=1e-4, atol=1e-5)
+    # negative twin: another azimuth that is left out changes what lies beside it
+    kept = [0, 1, 2, 3, 5, 6, 7, 8]
+    coarser = rgl_from_tensors(
+        fields | {name: fields[name][kept] for name in ("phi_i", "vndf", "rgb")}
+    )[0]
+    off = np.abs(coarser.eval_brdf(wi, wo) - expected).max(axis=1) > 1e-3
+    assert 0.1 < off.mean() < 0.4
+
+
+def test_a_density_of_nothing_is_named_by_its_light(fields):
+    nothing = fields["vndf"].copy()
+    nothing[1, 2] = 0.0
+    angle = np.rad2deg(fields["theta_i"][2])
+    says = f"'vndf' is zero everywhere for light at phi_i -157.5 and theta_i {angle:.4g} degrees"
+    with pytest.raises(BrdfError, match=says):
+        rgl_from_tensors(fields | {"vndf": nothing})
+
+
+@pytest.mark.parametrize(
     ("phi_i", "says"),
     [
         (np.linspace(0, np.pi, 5), "'phi_i' runs from 0 to 3.14"),
         (np.linspace(-np.pi, -np.pi / 3, 5), "'phi_i' runs from -3.14 to -1.05"),
+        # half a turn without its end, and more than a quarter
+        (np.linspace(-np.pi, 0, 6)[:-1], "'phi_i' runs from -3.14 to -0.628"),
+        (np.linspace(-np.pi, -1.5, 5), "'phi_i' runs from -3.14 to -1.5"),
         (np.linspace(-np.pi / 2, -np.pi, 5), "'phi_i' does not rise"),
         (np.full(5, -np.pi), "'phi_i' does not rise"),
         (np.linspace(-np.pi, -np.pi / 2, 4), "'vndf' has shape .* beside 4 azimuths"),
     ],
-    ids=range(5),
+    ids=range(7),
 )
 def test_azimuths_that_are_no_part_of_a_turn_are_refused(fields, phi_i, says):
     with pytest.raises(BrdfError, match=says):

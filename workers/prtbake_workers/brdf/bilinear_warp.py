@@ -32,6 +32,15 @@ def slices_at(nodes: Float64[F64, " nodes"], values: Float64[F64, " n"]) -> Blen
     return Blend(np.stack([first, first + 1]), np.stack([1.0 - share, share]))
 
 
+def slices_around(
+    nodes: Float64[F64, " nodes"], values: Float64[F64, " n"], period: float
+) -> Blend:
+    """Mix the slices around some values of a periodic parameter; the nodes span less than it."""
+    wrapped = np.concatenate([nodes[-1:] - period, nodes, nodes[:1] + period])
+    slices, shares = slices_at(wrapped, values)
+    return Blend((slices - 1) % len(nodes), shares)
+
+
 def slices_of_both(outer: Blend, inner: Blend, n_inner: int) -> Blend:
     """Mix slices over two parameters; ``n_inner`` of the second stand together."""
     n = outer.slices.shape[1]

@@ -60,6 +60,7 @@ class RglTensor:
     def __post_init__(self) -> None:
         for name in ("sigma", "ndf", "vndf", "rgb"):
             check_not_negative(name, getattr(self, name))
+        check_facets_seen(self.vndf, self.theta_i)
         object.__setattr__(self, "_warp", BilinearWarp(self.vndf))
 
     @property
@@ -109,6 +110,22 @@ def check_not_negative(name: str, array: NDArray[Any]) -> None:
     """Refuse a table that no density or measurement has."""
     if not (np.isfinite(array).all() and (array >= 0.0).all()):
         raise BrdfError(f"{name} holds negative values or NaN")
+
+
+def check_facets_seen(
+    vndf: Float32[F32, "... lights rows columns"],
+    theta_i: Float32[F32, " lights"],
+    phi_i: Float32[F32, " azimuths"] | None = None,
+) -> None:
+    """Refuse densities that are zero everywhere for some light: nothing is distributed by them."""
+    unseen = np.argwhere(~vndf.any(axis=(-2, -1)))
+    if len(unseen):
+        at = unseen[0]
+        azimuth = "" if phi_i is None else f"phi_i {np.rad2deg(phi_i[at[0]]):.4g} and "
+        raise BrdfError(
+            f"field 'vndf' is zero everywhere for light at {azimuth}theta_i "
+            f"{np.rad2deg(theta_i[at[-1]]):.4g} degrees"
+        )
 
 
 def spherical(w: Float64[F64, "n 3"]) -> tuple[Float64[F64, " n"], Float64[F64, " n"]]:

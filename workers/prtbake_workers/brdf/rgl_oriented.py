@@ -6,9 +6,17 @@ import numpy as np
 
 from prtbake_storage.errors import BrdfError
 from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
-from prtbake_workers.brdf.bilinear_warp import BilinearWarp, look_up, slices_at, slices_of_both
+from prtbake_workers.brdf.bilinear_warp import (
+    BilinearWarp,
+    Blend,
+    look_up,
+    slices_around,
+    slices_at,
+    slices_of_both,
+)
 from prtbake_workers.brdf.rgl import (
     SIGMA_FLOOR,
+    check_facets_seen,
     check_not_negative,
     eval_in_chunks,
     spherical,
@@ -18,6 +26,9 @@ from prtbake_workers.brdf.rgl import (
 REDUCTIONS = (1, 2, 4)
 """Parts of a turn that the measured azimuths may be one of: by no symmetry, by that of half a turn,
 and by both mirrors."""
+
+AZIMUTH_SLACK = 1e-4
+"""Radians by which azimuths in float32 may miss an end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +42,7 @@ class OrientedRglTensor:
     ----------
     phi_i
         Azimuths of light that were measured, rising from -pi over a whole, half or quarter turn.
+        At the ends half a step may lack; of a whole turn its end, which is its beginning.
     theta_i
         Angles of light that were measured, rising, in radians.
     sigma
@@ -72,6 +84,7 @@ class OrientedRglTensor:
         for name in ("sigma", "ndf", "vndf", "rgb"):
             check_not_negative(name, getattr(self, name))
         object.__setattr__(self, "reduction", _reduction(self.phi_i.astype(np.float64)))
+        check_facets_seen(self.vndf, self.theta_i, self.phi_i)
         flat = self.vndf.reshape(-1, *self.vndf.shape[2:])
         object.__setattr__(self, "_warp", BilinearWarp(flat))
 
@@ -105,7 +118,7 @@ class OrientedRglTensor:
         theta_m, phi_m = spherical(light + view)
         x, y = unit_polar(theta_m), _unit_azimuth(phi_m)
         slices = slices_of_both(
-            slices_at(self.phi_i.astype(np.float64), phi_i),
+            self._azimuths_at(phi_i),
             slices_at(self.theta_i.astype(np.float64), theta_i),
             len(self.theta_i),
         )
@@ -118,25 +131,38 @@ class OrientedRglTensor:
         )
         return value / (4.0 * np.maximum(area, SIGMA_FLOOR))
 
+    def _azimuths_at(self, phi: Float64[F64, " n"]) -> Blend:
+        """Mix the azimuths beside the light's: around the turn, where the whole was measured."""
+        nodes = self.phi_i.astype(np.float64)
+        if self.reduction == 1 and 2.0 * np.pi - (nodes[-1] - nodes[0]) > AZIMUTH_SLACK:
+            return slices_around(nodes, phi, 2.0 * np.pi)
+        return slices_at(nodes, phi)
+
 
 def _reduction(phi_i: Float64[F64, " azimuths"]) -> int:
     """Tell which part of a turn the azimuths span, [Dupuy2018]_'s reduction by symmetry."""
     rising = len(phi_i) > 2 and bool((np.diff(phi_i) > 0.0).all())
     if not rising:
         raise BrdfError("field 'phi_i' does not rise over three azimuths or more")
-    span, step = float(phi_i[-1] - phi_i[0]), float(np.diff(phi_i).max())
-    reduction = round(2.0 * np.pi / span)
-    # what is missing at an end is at most what lies between two azimuths
-    if (
-        reduction not in REDUCTIONS
-        or abs(span - 2.0 * np.pi / reduction) > step
-        or abs(phi_i[0] + np.pi) > step
-    ):
-        raise BrdfError(
-            f"field 'phi_i' runs from {phi_i[0]:.3g} to {phi_i[-1]:.3g}: not over a whole, half or "
-            "quarter turn from -pi"
+    step = float(np.diff(phi_i).max())
+    first, last = float(phi_i[0]) + np.pi, float(phi_i[-1]) + np.pi
+    # beyond an end its slice is held, no farther than another would be; none lies beyond the end
+    for reduction in reversed(REDUCTIONS):
+        part = 2.0 * np.pi / reduction
+        # around a whole turn the last azimuth and the first are neighbours
+        missing, allowed = (
+            (part - last, 0.5 * step) if reduction > 1 else (part - last + first, step)
         )
-    return reduction
+        if (
+            -AZIMUTH_SLACK <= first <= 0.5 * step + AZIMUTH_SLACK
+            and last <= part + AZIMUTH_SLACK
+            and missing <= allowed + AZIMUTH_SLACK
+        ):
+            return reduction
+    raise BrdfError(
+        f"field 'phi_i' runs from {phi_i[0]:.3g} to {phi_i[-1]:.3g}: not over a whole, half or "
+        "quarter turn from -pi"
+    )
 
 
 def _folded(
