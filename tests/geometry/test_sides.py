@@ -106,6 +106,23 @@ def test_a_strip_with_half_a_twist_has_no_seam():
     assert (1.0 - np.abs((mesh.normals * expected).sum(axis=1))).max() > 0.5
 
 
+def test_a_crease_angle_splits_what_is_wound_both_ways_and_180_does_not():
+    """As the documentation says of two-sided parts: repair does not know that they will be."""
+    positions, faces, _ = moebius()
+    found = {
+        angle: repair(
+            RawMesh(positions, faces), "test", orient_outward=True, crease_angle_deg=angle
+        )
+        for angle in (60.0, 180.0, None)
+    }
+    # the edges of one cross-section, and its vertices a second time
+    assert found[60.0][1].crease_edges == 2
+    assert found[60.0][0].n_vertices == len(positions) + 3
+    for angle in (180.0, None):
+        assert found[angle][1].crease_edges == 0
+        assert found[angle][0].n_vertices == len(positions)
+
+
 @pytest.mark.parametrize("inward", [False, True])
 def test_rays_leave_both_sides_as_they_leave_a_sheet(inward):
     """A rim stays an open edge; the other side is no crease of the first."""

@@ -8,6 +8,7 @@ import pytest
 from prtbake_storage.contract.brdf import CookTorranceSpec
 from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.base import is_isotropic
+from prtbake_workers.brdf.checks import check_energy
 from prtbake_workers.brdf.distance import brdf_distance
 from prtbake_workers.brdf.ggx import Ggx
 from prtbake_workers.brdf.registry import brdf_from_spec
@@ -139,6 +140,27 @@ def test_an_anisotropic_tensor_file_becomes_an_anisotropic_brdf(
     # tables as coarse as these; twin: the surface turned by a quarter is farther
     assert brdf_distance(loaded, BRUSHED).relative_l2 < 0.12
     assert brdf_distance(loaded, Ward(BRUSHED.kd, BRUSHED.ks, 0.6, 0.3)).relative_l2 > 0.2
+
+
+class BrightNearGrazing:
+    """Reflects most at a cosine of 0.25, more than it receives, and nothing at 0, 0.5 and 1."""
+
+    n_channels = 1
+    is_isotropic = False
+
+    def eval_brdf(self, wi, wo):
+        cosine = np.broadcast_to(wi[..., 2], np.broadcast_shapes(wi.shape, wo.shape)[:-1])
+        return 1.2 / np.pi * np.maximum(1.0 - np.abs(cosine - 0.25) / 0.2, 0.0)[..., None]
+
+
+def test_the_albedo_of_an_anisotropic_brdf_is_taken_near_grazing_light():
+    found = check_energy(BrightNearGrazing(), n_angles=register_brdf.N_ANGLES_ORIENTED)
+    assert found.cos_at_max == 0.25
+    # the quadrature's error, see ENERGY_TOLERANCE
+    assert found.max_albedo == pytest.approx(1.2, abs=1e-5)
+    assert not found.conserves
+    # negative twin: three angles step over it
+    assert check_energy(BrightNearGrazing(), n_angles=3).conserves
 
 
 def test_a_tensor_file_whose_grain_lies_askew_is_refused(store):

@@ -37,9 +37,10 @@ MAX_JSON_BYTES = 1 << 20
 MAX_FILE_BYTES = 256 << 20
 """Largest file read; an isotropic measurement is a tenth of it."""
 
-N_ANGLES, N_ANGLES_SYMMETRISED, N_ANGLES_ORIENTED = 17, 9, 3
+N_ANGLES, N_ANGLES_SYMMETRISED, N_ANGLES_ORIENTED = 17, 9, 5
 """Angles of light at which the albedo is taken: somebody waits for it, and a symmetrised BRDF takes
-four evaluations for one; an anisotropic one takes ten times as many, up to eight for one."""
+four evaluations for one; an anisotropic one takes ten times as many, up to eight for one.  Five
+have 75 degrees among them, where an albedo may peak before it falls at grazing light."""
 
 
 class Understood(NamedTuple):
