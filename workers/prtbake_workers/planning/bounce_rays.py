@@ -6,8 +6,8 @@ from math import ceil, sqrt
 from prtbake_storage.contract.settings import BakeSettings
 from prtbake_workers.planning.decision import Decision
 
-FEWEST = 8
-"""Below, the lattice has hardly begun to be better than chance."""
+FEWEST = 4
+"""Below, casting them costs less than all else that a vertex does in a bounce."""
 
 NOISE_SHARE = 0.5
 """Of the tolerance, that the rays' noise may take."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F64, I64, Float64, Int64
 from prtbake_workers.geometry.icosphere import icosphere
@@ -94,7 +95,7 @@ def plan_projection(
 
 
 def _plan(normals: F64, usable: I64, directions: F64, level: int) -> ProjectionPlan:
-    cell = np.argmax(normals[usable] @ icosphere(level).T, axis=1)
+    _, cell = cKDTree(icosphere(level)).query(normals[usable])
     order = np.argsort(cell, kind="stable")
     starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
     groups = [

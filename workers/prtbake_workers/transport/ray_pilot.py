@@ -14,7 +14,7 @@ from prtbake_workers.transport.smoothing import Smoothing
 VERTICES = 64
 """Tried; with their neighbours some 450."""
 
-FEWEST = 8
+FEWEST = 4
 """Rays tried first."""
 
 MARGIN = 1.1
