@@ -12,7 +12,7 @@ from prtbake_workers.transport.bounce_error import (
     draw_vertices,
     squared_errors,
 )
-from prtbake_workers.transport.ray_pilot import FEWEST, pilot_rays
+from prtbake_workers.transport.ray_pilot import FEWEST, WORTH_TRYING, pilot_rays
 from prtbake_workers.transport.smoothing import Smoothing
 from support.bounce_scenes import ball
 
@@ -106,4 +106,5 @@ def test_the_pilot_takes_as_few_rays_as_means_allow():
 def test_all_rays_are_taken_where_means_blur_or_nothing_is_allowed():
     assert piloted(Bounce(40.0, chance=10.0, n_coeffs=48), 3e-2) == 256
     assert piloted(Bounce(1.0, chance=10.0, n_coeffs=48), 0.0) == 256
-    assert piloted(Bounce(1.0, chance=10.0, n_coeffs=48), 1e-1, most=FEWEST - 1) == FEWEST - 1
+    assert piloted(Bounce(1.0, chance=0.0, n_coeffs=48), 1e-1, most=WORTH_TRYING - 1) == 15
+    assert piloted(Bounce(1.0, chance=0.0, n_coeffs=48), 1e-1, most=WORTH_TRYING) == FEWEST

@@ -17,6 +17,9 @@ VERTICES = 64
 FEWEST = 4
 """Rays tried first."""
 
+WORTH_TRYING = 16
+"""Rays that cost more than to try whether fewer will do."""
+
 MARGIN = 1.1
 """More rays than chance alone asks for."""
 
@@ -56,7 +59,7 @@ def pilot_rays(
     seed
         Of the bake: vertices and rays are others than those that it takes and is measured by.
     """
-    if most <= FEWEST or not allowed > 0.0 or not areas.sum() > 0.0:
+    if most < WORTH_TRYING or not allowed > 0.0 or not areas.sum() > 0.0:
         return most
     chosen = draw_vertices(areas, VERTICES, [seed, 2])
     around, means = smoothing.around(chosen)

@@ -49,6 +49,10 @@ class Means:
     ) -> Float32[F32, "rows channels terms coeffs"]:
         """Take the means, channel by channel."""
         n_rows = next(iter(self.matrices.values())).shape[0]
+        if not self.orders.any():
+            # all alike: one product, and no copy
+            flat = self.matrices[0] @ values.reshape(len(values), -1)
+            return np.asarray(flat.reshape(n_rows, *values.shape[1:]))
         means = np.empty((n_rows, *values.shape[1:]), np.float32)
         for channel in range(values.shape[1]):
             for order, matrix in self.matrices.items():
@@ -170,10 +174,11 @@ def _neighbours(
     faces = group[scene.faces[scene.part_of_face == part] - start]
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     alone = np.arange(len(groups))[:, None].repeat(2, axis=1)
+    ones = np.ones(2 * len(ends) + len(alone), np.float32)
     both = np.concatenate([ends, ends[:, ::-1], alone])
-    # as single numbers: sorting rows takes twenty times as long
-    distinct = np.unique(both[:, 0] * np.int64(len(groups)) + both[:, 1])
-    to, come_from = np.divmod(distinct, len(groups))
+    met = coo_array((ones, (both[:, 0], both[:, 1])), (len(groups), len(groups))).tocsr()
+    to = np.repeat(np.arange(len(groups)), np.diff(met.indptr))
+    come_from = met.indices.astype(np.int64)
     normals = scene.normals[own[first_of]]
     alike = np.maximum((normals[to] * normals[come_from]).sum(axis=1), 0.0)
     weights = np.maximum(areas[come_from], 0.0) * alike**SHARPNESS
@@ -199,6 +204,8 @@ def _neighbours(
 
 def _on_border(scene: Scene) -> Any:
     """Tell which vertices have twins in another part."""
+    if len(scene.part_ranges) == 1:
+        return np.zeros(scene.n_vertices, np.bool_)
     parts = np.repeat(
         np.arange(len(scene.part_ranges)), [last - first for first, last in scene.part_ranges]
     )
