@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prtbake_storage.contract.brdf import LambertSpec, PhongSpec, WardSpec
-from prtbake_storage.errors import SettingsError
+from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec, PhongSpec, WardSpec
+from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.basis.sh import HemisphereBasis, eval_sh, glossy_matrix
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
@@ -185,3 +185,14 @@ def test_a_constant_brdf_keeps_its_one_term_and_an_anisotropic_one_is_refused(ex
 def test_half_a_pair_or_a_function_beyond_the_order_is_no_choice(functions):
     with pytest.raises(ValueError, match="both of every pair"):
         factorise_harmonic(brdf_from_spec(GREY), ORDER, np.array(functions))
+
+
+def test_a_lobe_too_narrow_for_the_harmonics_is_refused(exitant):
+    def lobe(m):
+        spec = CookTorranceSpec(kd=0.0, ks=0.6, m=m, f0=0.2)
+        return factorise_harmonic(brdf_from_spec(spec), ORDER, exitant.kept)
+
+    assert 0.3 < lobe(0.2).energy_lost < 1.0
+    with pytest.raises(BrdfError, match="more than none at all would") as refused:
+        lobe(0.05)
+    assert refused.value.pointer == "/settings/bake/view_order"

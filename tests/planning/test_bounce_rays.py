@@ -9,7 +9,13 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.bounce_rays import FEWEST, NOISE_SHARE, bounce_rays, later_rays
+from prtbake_workers.planning.bounce_rays import (
+    FEWEST,
+    NOISE_SHARE,
+    bounce_rays,
+    later_rays,
+    pilot_tolerance,
+)
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.interreflection import probe_bounce
 from prtbake_workers.transport.albedo import Albedo
@@ -137,3 +143,13 @@ def test_later_bounces_take_fewer_rays_the_less_they_bring():
     assert counts[3] == 33
     assert pytest.approx(0.25, rel=0.05) == 0.1 * (64 / 33) ** (4 / 3)
     assert later_rays(decided(1.0, share=0.1, forced=True), bake, (64, 20)) == (64, 20)
+
+
+def test_one_bounce_may_err_by_what_a_series_of_them_adds_up_to():
+    """Their amplitudes add: 1 + 1/2 + 1/4 + ... = 2 at a quarter of the energy."""
+    bake = BakeSettings(bounce_tolerance=1e-3)
+    series = sum(0.5**k for k in range(60)) ** 2
+    allowed = pilot_tolerance(decided(1.0, share=0.25), bake)
+    assert allowed * series == pytest.approx(NOISE_SHARE * 1e-3, rel=1e-9)
+    assert pilot_tolerance(decided(1.0, share=1.0), bake) == 0.0
+    assert pilot_tolerance(decided(1.0, share=0.1, forced=True), bake) == 0.0

@@ -228,3 +228,23 @@ def test_views_in_harmonics_take_the_place_of_terms():
         bake = resolve_stages(quality, AssetSettings(bake={"factorisation": "sh"})).bake
         assert (bake.n_terms, bake.term_energy_lost, bake.view_order) == (None, None, 5)
         assert resolve_stages(quality, AssetSettings()).bake.view_order is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "name"),
+    [
+        ({"n_centres": None}, "n_centres"),
+        ({"basis": "sh", "sh_order": None}, "sh_order"),
+        ({"n_terms": None}, "term_energy_lost"),
+        ({"term_energy_lost": None}, "term_energy_lost"),
+    ],
+)
+def test_null_leaves_a_field_to_the_quality(fields, name):
+    without = {key: value for key, value in fields.items() if value is not None}
+    expected, found = (
+        getattr(resolve_stages("draft", AssetSettings(bake=bake)).bake, name)
+        for bake in (without, fields)
+    )
+    assert found == expected
+    # and not to what a bake by itself would take
+    assert found != getattr(BakeSettings.model_validate(fields), name)

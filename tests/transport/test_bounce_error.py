@@ -7,10 +7,10 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport.bounce_error import (
-    at_most,
     bounce_error,
     draw_vertices,
     squared_errors,
+    with_standard_error,
 )
 from prtbake_workers.transport.ray_pilot import FEWEST, WORTH_TRYING, pilot_rays
 from prtbake_workers.transport.smoothing import Smoothing
@@ -79,11 +79,12 @@ def test_slow_light_is_averaged_far_and_fast_light_not_at_all():
 def test_an_error_against_one_draw_alone_would_hold_the_chance_of_that_as_well():
     """Negative twin of the product of two draws: the square of one is too large by its own."""
     bounce = Bounce(1.0, chance=1.0)
-    chosen = draw_vertices(SCENE.areas, 128, [0, 1])
+    drawn = draw_vertices(SCENE.areas, 128, [0, 1])
+    chosen = drawn.vertices
     smooth = SMOOTHING.apply(bounce.everywhere(1), 4)[chosen]
     x, y = (bounce.drawn(chosen, 1, seed) for seed in (1, 2))
     true = float(((smooth - bounce.truth[chosen, None, None]) ** 2).sum(axis=(1, 2, 3)).mean())
-    assert at_most(squared_errors(smooth, x, y)) < 4.0 * true
+    assert with_standard_error(squared_errors(smooth, x, y), drawn) < 4.0 * true
     assert float(((smooth - x) ** 2).sum(axis=(1, 2, 3)).mean()) > 10.0 * true
 
 
@@ -108,3 +109,16 @@ def test_all_rays_are_taken_where_means_blur_or_nothing_is_allowed():
     assert piloted(Bounce(1.0, chance=10.0, n_coeffs=48), 0.0) == 256
     assert piloted(Bounce(1.0, chance=0.0, n_coeffs=48), 1e-1, most=WORTH_TRYING - 1) == 15
     assert piloted(Bounce(1.0, chance=0.0, n_coeffs=48), 1e-1, most=WORTH_TRYING) == FEWEST
+
+
+def test_what_is_drawn_twice_tells_nothing_new():
+    """The standard error on top, of eight vertices of equal area that 128 draws fall on."""
+    drawn = draw_vertices(np.ones(8), 128, [0, 1])
+    np.testing.assert_array_equal(drawn.vertices, np.arange(8))
+    assert drawn.shares.sum() == pytest.approx(1.0, rel=1e-12)
+    errors = np.random.default_rng(3).exponential(size=(2000, 8))
+    told = np.mean([with_standard_error(row, drawn) - drawn.shares @ row for row in errors])
+    true = np.std(errors @ drawn.shares)
+    assert told == pytest.approx(true, rel=0.2)
+    # negative twin: as if all draws had been independent
+    assert np.std(errors) / np.sqrt(128) < 0.4 * true

@@ -191,6 +191,15 @@ def test_the_measured_error_is_that_of_the_rows(surface, scattering, direct):
     # a dozen vertices stand for all
     assert 0.2 * true < said < 5.0 * true
     assert 1e-9 < said < 1e-4
+    # a row that was drawn three times counts three times, whatever its area
+    operator, rows = scattering.operator, np.array([5, 40])
+    once, thrice = (
+        operator.measured_error(transfer, rows, np.array(counts))
+        for counts in ((1.0, 1.0), (1.0, 3.0))
+    )
+    shares = [operator.measured_error(transfer, rows[[k]], np.ones(1)) for k in (0, 1)]
+    assert min(shares) < min(once, thrice) <= max(once, thrice) < max(shares)
+    assert abs(thrice - shares[1]) < abs(once - shares[1])
 
 
 def test_what_cannot_be_scattered_is_refused(surface, scattering, direct):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from prtbake_storage.errors import SettingsError
+from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.arrays import F64, I32, Float64, Int32
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.checks import check_factorisation
@@ -66,7 +66,7 @@ def factorise_harmonic(
     SettingsError
         The BRDF is anisotropic.
     BrdfError
-        It gives a negative or non-finite value.
+        It gives a negative or non-finite value, or the harmonics miss more than its energy.
     """
     if not is_isotropic(brdf):
         raise SettingsError(
@@ -88,6 +88,13 @@ def factorise_harmonic(
             phi_table=draft.radial_exact(at, light_side=False).astype(np.float32),
         )
         lost = check_factorisation(brdf, found).relative_error
+    if lost > 1.0:
+        raise BrdfError(
+            f"{found.n_terms} terms of hemispherical harmonics miss {lost:.0%} of the BRDF's "
+            "energy, more than none at all would: its lobe is too narrow for them, take more bands "
+            "or svd",
+            pointer="/settings/bake/view_order",
+        )
     note = (
         f"{len(functions)} of {order**2} hemispherical harmonics ({found.n_terms} terms) leave "
         f"{lost:.2%} of the BRDF's energy"

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from prtbake_storage.contract.settings import (
+    OWNERS,
     AssetSettings,
     BakeSettings,
     CentreCount,
@@ -194,16 +195,21 @@ LADDER: dict[Quality, Step] = {
 
 
 def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
-    """Lay the fields a request gives over the quality's step."""
+    """Lay the fields a request gives over the quality's step; null leaves them to the step."""
     step = LADDER[quality]
+    given = {
+        name: value
+        for name, value in overrides.bake.items()
+        if value is not None or name not in OWNERS
+    }
     bake = dict(step.bake)
     if overrides.bake.get("basis") == "sh":
         # the largest order with no more functions than the step has centres
         bake["sh_order"] = isqrt(bake.pop("n_centres"))
     if overrides.bake.get("factorisation") == "sh":
         del bake["term_energy_lost"]
-    bake |= overrides.bake
-    if "n_terms" in overrides.bake and "term_energy_lost" not in overrides.bake:
+    bake |= given
+    if "n_terms" in given and "term_energy_lost" not in overrides.bake:
         bake.pop("term_energy_lost", None)
     return StageSettings(
         bake=BakeSettings.model_validate(bake),

@@ -35,13 +35,20 @@ def row_norms(
     return np.asarray(np.sqrt(np.vecdot(rows, rows).astype(np.float64)))
 
 
-def draw_vertices(
-    areas: Float64[F64, " verts"], count: int, seed: Sequence[int]
-) -> Int64[I64, " count"]:
-    """Draw vertices by area, in order; some may come twice."""
+class Drawn(NamedTuple):
+    """Vertices, in order, and how large a share of all draws fell on each."""
+
+    vertices: Int64[I64, " distinct"]
+    shares: Float64[F64, " distinct"]
+
+
+def draw_vertices(areas: Float64[F64, " verts"], count: int, seed: Sequence[int]) -> Drawn:
+    """Draw vertices by area."""
     weights = np.maximum(areas, 0.0)
     rng = np.random.default_rng(seed)
-    return np.sort(rng.choice(len(areas), count, p=weights / weights.sum()))
+    drawn = rng.choice(len(areas), count, p=weights / weights.sum())
+    vertices, counts = np.unique(drawn, return_counts=True)
+    return Drawn(vertices, counts / count)
 
 
 def squared_errors(
@@ -53,9 +60,9 @@ def squared_errors(
     return np.asarray(((found - first) * (found - second)).sum(axis=(1, 2, 3), dtype=np.float64))
 
 
-def at_most(errors: Float64[F64, " verts"]) -> float:
+def with_standard_error(errors: Float64[F64, " verts"], drawn: Drawn) -> float:
     """Give the mean, not below 0, and one standard error of it on top."""
-    return max(float(errors.mean()), 0.0) + _standard_error(errors)
+    return max(float(drawn.shares @ errors), 0.0) + _standard_error(errors, drawn)
 
 
 def bounce_error(
@@ -93,7 +100,8 @@ def bounce_error(
         areas = np.maximum(scene.areas[start:stop], 0.0)
         if not areas.sum() > 0.0:
             continue
-        chosen = draw_vertices(areas, VERTICES, [seed, 1])
+        drawn = draw_vertices(areas, VERTICES, [seed, 1])
+        chosen = drawn.vertices
         x, y = (gather(part, start + chosen, own) for own in (seed + 1, seed + 2))
         brought, smoothing = bounced[part], smoothings[part]
         if brought is None:
@@ -105,13 +113,15 @@ def bounce_error(
                 for number in tried:
                     smooth = smoothing.at(chosen, number).apply(brought)
                     found = squared_errors(smooth, x, y)
-                    fall = plain - found
-                    helps = fall.mean() > _standard_error(fall) and found.mean() < errors.mean()
-                    if helps or rounds is not None:
+                    fall, gain = plain - found, float(drawn.shares @ (errors - found))
+                    clear = drawn.shares @ fall > _standard_error(fall, drawn)
+                    if (clear and gain > 0.0) or rounds is not None:
                         errors, taken[part] = found, number
-        energy[part] = float(areas.sum()) * at_most(errors)
+        energy[part] = float(areas.sum()) * with_standard_error(errors, drawn)
     return BounceError(energy, tuple(taken))
 
 
-def _standard_error(values: Float64[F64, " n"]) -> float:
-    return float(values.std() / np.sqrt(len(values)))
+def _standard_error(values: Float64[F64, " verts"], drawn: Drawn) -> float:
+    """Of a mean of independent vertices: what was drawn twice tells nothing new."""
+    apart = drawn.shares * (values - drawn.shares @ values)
+    return float(np.sqrt(apart @ apart))

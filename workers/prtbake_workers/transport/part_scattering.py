@@ -219,8 +219,9 @@ class PartScattering:
         if not areas.any():
             return 0.0
         rng = np.random.default_rng(seed)
-        rows = rng.choice(len(areas), MEASURED_ROWS, p=areas / areas.sum())
-        return self.operator.measured_error(transfer, np.unique(rows))
+        drawn = rng.choice(len(areas), MEASURED_ROWS, p=areas / areas.sum())
+        rows, counts = np.unique(drawn, return_counts=True)
+        return self.operator.measured_error(transfer, rows, counts.astype(np.float64))
 
 
 def _built(operator: SubsurfaceOperator) -> Iterable[ScatteringRows]:

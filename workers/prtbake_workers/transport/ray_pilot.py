@@ -8,7 +8,11 @@ from collections.abc import Callable
 from math import ceil
 
 from prtbake_workers.arrays import F32, F64, I64, Float64, Int64
-from prtbake_workers.transport.bounce_error import at_most, draw_vertices, squared_errors
+from prtbake_workers.transport.bounce_error import (
+    draw_vertices,
+    squared_errors,
+    with_standard_error,
+)
 from prtbake_workers.transport.smoothing import Smoothing
 
 VERTICES = 64
@@ -61,12 +65,14 @@ def pilot_rays(
     """
     if most < WORTH_TRYING or not allowed > 0.0 or not areas.sum() > 0.0:
         return most
-    chosen = draw_vertices(areas, VERTICES, [seed, 2])
+    drawn = draw_vertices(areas, VERTICES, [seed, 2])
+    chosen = drawn.vertices
     around, means = smoothing.around(chosen)
     x, y = (gather(chosen, most, seed + step) for step in (4, 5))
 
     def error_of(n_rays: int) -> float:
-        return at_most(squared_errors(means.apply(gather(around, n_rays, seed + 3)), x, y))
+        found = means.apply(gather(around, n_rays, seed + 3))
+        return with_standard_error(squared_errors(found, x, y), drawn)
 
     first = error_of(FEWEST)
     if first <= allowed:

@@ -315,26 +315,30 @@ class SubsurfaceOperator:
         )
 
     def measured_error(
-        self, transfer: Float32[F32, "verts coeffs"], rows: Int64[I64, " rows"]
+        self,
+        transfer: Float32[F32, "verts coeffs"],
+        rows: Int64[I64, " rows"],
+        weights: Float64[F64, " rows"] | None = None,
     ) -> float:
         """Measure the squared-error ratio of clusters and cut at some vertices.
 
-        Over all channels and weighted by area, against the same rows with every triangle
-        integrated; 0 where those are black.
+        Over all channels, against the same rows with every triangle integrated; 0 where those are
+        black.  Rows are weighted by area, or by ``weights``: those that were drawn by area are not
+        to be weighted by it again.
         """
         every = SubsurfaceOperator(
             self.scene, self.dipole, max_solid_angle=0.0, dropped_share=0.0, tree=self.tree
         )
         sources = self.sources(transfer)
         error = energy = 0.0
-        areas = self.scene.areas[rows]
+        shares = self.scene.areas[rows] if weights is None else weights
         for part in np.array_split(np.arange(len(rows)), max(1, len(rows) // 4)):
             found, exact = self.block(rows[part]), every.block(rows[part])
             for ours, theirs in zip(found.matrices, exact.matrices, strict=True):
                 true = (theirs @ sources).astype(np.float64)
                 wrong = (ours @ sources).astype(np.float64) - true
-                error += float(areas[part] @ np.vecdot(wrong, wrong))
-                energy += float(areas[part] @ np.vecdot(true, true))
+                error += float(shares[part] @ np.vecdot(wrong, wrong))
+                energy += float(shares[part] @ np.vecdot(true, true))
         return error / energy if energy else 0.0
 
     def _interactions(self, points: Float64[F64, "rows 3"]) -> tuple[I64, I64, I64, I64]:
