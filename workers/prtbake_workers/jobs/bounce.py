@@ -300,10 +300,13 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
         )
     for index, part in enumerate(plan["parts"]):
         ways = {(block["n_rays"][index], block["rounds"][index]) for block in blocks}
-        for rays, rounds in sorted(way for way in ways if way[1]):
+        planned = plan["bounces"]["n_rays"][index]
+        for rays, rounds in sorted(ways - {(planned, 0)}):
+            fewer = f" in place of {planned}" if rays < planned else ""
+            means = f", averaged over neighbours {rounds} time{'s'[: rounds - 1]}" if rounds else ""
             found.append(
-                f"{part['name']}: bounced light is that of {rays} rays a vertex, averaged over "
-                f"neighbours {rounds} time{'s'[: rounds - 1]}: measured to be nearer the truth"
+                f"{part['name']}: bounced light is that of {rays} rays a vertex{fewer}{means}: "
+                "measured to be near enough to the truth"
             )
     if any(block["left_out"] is None for block in blocks):
         found.append(

@@ -19,7 +19,7 @@ VERTICES = 64
 """Tried; with their neighbours some 450."""
 
 FEWEST = 4
-"""Rays tried first."""
+"""Rays tried first; casting fewer would save little of what a bounce costs a vertex."""
 
 WORTH_TRYING = 16
 """Rays that cost more than to try whether fewer will do."""
@@ -28,7 +28,11 @@ MARGIN = 1.1
 """More rays than chance alone asks for."""
 
 FALL = 4.0 / 3.0
-"""Squared errors by chance fall with the rays to this power, see `planning.bounce_rays`."""
+"""Squared errors by chance fall with the rays to this power.
+
+Shifted lattices in two dimensions reach 3/2 where the integrand jumps, as radiance does at
+silhouettes, and 1 where it is all noise; 1.35 to 1.47 was measured from 1 to 64 rays.
+"""
 
 BLURRED = 2.0
 """Times the error that chance alone would leave: above it means blur, and no ray mends that."""
