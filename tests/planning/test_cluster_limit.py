@@ -8,7 +8,9 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.cluster_limit import (
     CLUSTER_SHARE,
     SOLID_ANGLES,
+    ClusterLimit,
     choose_solid_angle,
+    cluster_note,
 )
 from prtbake_workers.transport.dipole import Dipole
 from prtbake_workers.transport.subsurface import SubsurfaceOperator
@@ -73,3 +75,12 @@ def test_no_angle_keeps_no_tolerance_and_any_serves_the_dark(ball, lit):
     for dipole, transfer in ((black, lit), (marble(0.1), np.zeros_like(lit))):
         found = choose_solid_angle(ball, dipole, transfer, points, tolerance=1e-3)
         assert (found.solid_angle, found.error) == (SOLID_ANGLES[0], 0.0)
+
+
+def test_a_limit_that_keeps_no_tolerance_is_said():
+    limit = ClusterLimit(solid_angle=1.0 / 16.0, error=3e-5, entries=900.0)
+    assert cluster_note("wax", limit, 4e-4) is None
+    note = cluster_note("wax", limit, 1e-4)
+    assert note.startswith(
+        "wax: the smallest clusters, of 0.062 sr, are measured to err by 3.0e-05"
+    )

@@ -15,6 +15,7 @@ from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
+from prtbake_workers.brdf.harmonic_factorisation import HarmonicFactorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
@@ -27,6 +28,7 @@ from prtbake_workers.jobs.scene_file import (
     write_projection,
     write_scene,
 )
+from prtbake_workers.planning.cluster_limit import cluster_note
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.grain import Grain, grain_notes
 from prtbake_workers.planning.light_resolution import choose_light_resolution
@@ -173,6 +175,13 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             *_term_notes(names, factorisations),
             *grain_notes(grain, _unread_tangents(parts, grain)),
             *_side_notes(parts, bool(report.get("watertight", False))),
+            *filter(
+                None,
+                (
+                    cluster_note(names[part], limit, settings.bake.subsurface_tolerance)
+                    for part, limit in zip(scattering.parts, scattering.limits, strict=True)
+                ),
+            ),
             *repairs(report),
             *report.get("warnings", []),
         ],
@@ -328,7 +337,10 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "transfer": {
             "basis": basis.stored.kind,
             "coefficients": basis.n,
-            "factorisation": planned.header["bake"]["factorisation"],
+            # what is baked: one term of either kind is that of svd
+            "factorisation": "sh"
+            if any(isinstance(own, HarmonicFactorisation) for own in planned.factorisations)
+            else "svd",
         },
         "settings": args["settings"] | {"bake": planned.header["bake"]},
     }

@@ -39,6 +39,17 @@ class ClusterLimit:
     entries: float
 
 
+def cluster_note(name: str, limit: ClusterLimit, tolerance: float) -> str | None:
+    """Say of a part that even the smallest clusters err by more than their share; None if not."""
+    if limit.error <= CLUSTER_SHARE * tolerance:
+        return None
+    return (
+        f"{name}: the smallest clusters, of {limit.solid_angle:.2g} sr, are measured to err by "
+        f"{limit.error:.1e} of the light that scatters inside, more than a tenth of the tolerance "
+        f"{tolerance:.1e}"
+    )
+
+
 def choose_solid_angle(
     scene: Scene,
     dipole: Dipole,
