@@ -20,7 +20,7 @@ from prtbake_workers.jobs.estimate import estimate
 from prtbake_workers.jobs.scene_file import read_scene
 from prtbake_workers.transport.reference import SurfacePoints, visible_cosine
 from support.quadrature import sphere_quadrature
-from support.scenes import asset_request, context_of, run_asset, run_until
+from support.scenes import asset_request, ball_context, run_asset, run_until
 
 ORDER = 7
 LAMBERT = {"model": "lambert", "albedo": 0.6}
@@ -40,20 +40,11 @@ def request_of(**changes):
     return request
 
 
-def context_in(store, request):
-    return context_of(
-        store,
-        request,
-        {"builtin": {"name": "icosphere", "tessellation": 2}},
-        {"builtin": {"name": "sun_sky", "width": 64}},
-    )
-
-
 @pytest.fixture(scope="module")
 def finished(store):
     """A ball on a plane: all of an asset job."""
     request = request_of(receiver={"resolution": 8})
-    return run_asset(store, request, context_in(store, request))
+    return run_asset(store, request, ball_context(store, request))
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +127,7 @@ def test_files_report_and_page_say_which_kind_it_is(store, finished, asset):
 def test_an_unoccluded_lambert_vertex_has_the_closed_form(store):
     """max(0, cos) / pi: pi, 2 pi / 3, pi / 4, 0, -pi / 24, 0, pi / 64 over pi, a band each."""
     request = request_of(receiver=None)
-    results = run_until(store, request, context_in(store, request), "join")
+    results = run_until(store, request, ball_context(store, request), "join")
     with open_transfer(store.local_path(results["join"][0]["transfer"])) as transfer:
         (found,), normals = [transfer.read(0)], transfer.header.normals
     bands = np.array([1.0, 2 / 3, 1 / 4, 0.0, -1 / 24, 0.0, 1 / 64])
@@ -158,7 +149,7 @@ def test_estimates_know_the_number_of_harmonics(store, finished):
     digest = finished["join"][0]["transfer"]
     request = request_of(receiver={"resolution": 8})
     compress = {"kind": "compress", "transfer": "a-job/transfer.h5"}
-    context = context_in(store, request)
+    context = ball_context(store, request)
     given = {"artefacts": {"transfer": {"digest": digest}}}
     predicted = {}
     for kind, asked, around in (("asset", request, context), ("compress", compress, given)):

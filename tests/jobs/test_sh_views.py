@@ -16,7 +16,7 @@ from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.jobs.inputs import load_brdf
 from support.scenes import (
     asset_request,
-    context_of,
+    ball_context,
     relative_difference,
     run_asset,
     run_until,
@@ -42,19 +42,10 @@ def request_of(bake=BAKE, **changes):
     return request
 
 
-def context_in(store, request):
-    return context_of(
-        store,
-        request,
-        {"builtin": {"name": "icosphere", "tessellation": 2}},
-        {"builtin": {"name": "sun_sky", "width": 64}},
-    )
-
-
 @pytest.fixture(scope="module")
 def finished(store):
     request = request_of()
-    context = context_in(store, request)
+    context = ball_context(store, request)
     return context, run_asset(store, request, context)
 
 
@@ -111,7 +102,7 @@ def test_colours_are_those_of_the_best_products_within_what_harmonics_leave(stor
 
 def test_without_view_dependence_the_best_single_product_is_baked(store):
     request = request_of() | {"effects": {"view_dependence": "off"}}
-    results = run_until(store, request, context_in(store, request), "plan")
+    results = run_until(store, request, ball_context(store, request), "plan")
     (planned,) = results["plan"]
     assert [part["n_terms"] for part in planned["plan"]["parts"]] == [1, 1]
     brdf = load_brdf(store, PHONG)

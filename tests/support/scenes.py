@@ -55,6 +55,12 @@ def context_of(
     }
 
 
+def ball_context(store: BlobStore, request: dict[str, Any]) -> dict[str, Any]:
+    """Resolve a request for a small ball under a procedural sky."""
+    mesh = {"builtin": {"name": "icosphere", "tessellation": 2}}
+    return context_of(store, request, mesh, {"builtin": {"name": "sun_sky", "width": 64}})
+
+
 def teapot_context(
     store: BlobStore, request: dict[str, Any], tessellation: int = 4
 ) -> dict[str, Any]:

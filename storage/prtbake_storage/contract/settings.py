@@ -90,10 +90,11 @@ class BakeSettings(Wire):
     ``bandwidth`` is 60 for 642 centres and in proportion for others; at most ten times that.
     Bounces are traced by ``bounce_rays`` a vertex until one adds less than ``bounce_tolerance`` (a
     squared-error ratio in radiance norm) or ``max_bounces`` are done.  Unless interreflection is
-    forced on, fewer rays are taken where their noise is predicted or measured to stay below half of
-    the tolerance.  Parts with a medium whose scattering moves no more than
-    ``subsurface_tolerance`` of their light reflect it where it falls; in others it is moved with an
-    error of about a tenth of that.  Where ``cube_resolution`` or ``n_centres`` is ``auto`` planning
+    forced on, fewer rays are taken where the noise of the first bounce is predicted, or that of all
+    is measured, to stay below half of the tolerance.  Parts with a medium whose scattering moves no
+    more than ``subsurface_tolerance`` of their light reflect it where it falls; in others it is
+    moved with an error of about a tenth of that, see the plan's notes where no clusters are so
+    small.  Where ``cube_resolution`` or ``n_centres`` is ``auto`` planning
     samples transport at some vertices and takes the fewest that it predicts to leave no more than
     ``projection_tolerance`` of it, of at most 48 and 2562.
     """

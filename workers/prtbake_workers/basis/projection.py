@@ -1,5 +1,6 @@
 """Regularised least-squares projection of sampled functions on an orthonormal basis."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -152,3 +153,23 @@ def project(
         gram=gram,
         ridge=ridge,
     )
+
+
+class Projecting(ABC):
+    """An orthonormal basis on which samples are projected by least squares."""
+
+    @abstractmethod
+    def reconstruction_matrix(
+        self, directions: Float64[F64, "dirs 3"]
+    ) -> Float64[F64, "dirs coeffs"]:
+        """Tabulate the functions in unit directions."""
+
+    def projection(
+        self,
+        directions: Float64[F64, "dirs 3"],
+        weights: Float64[F64, " dirs"],
+        *,
+        ridge: float = RIDGE,
+    ) -> LeastSquaresProjection:
+        """Prepare the projection of samples in directions with solid angles, see `project`."""
+        return project(self.reconstruction_matrix(directions), weights, ridge=ridge)

@@ -11,12 +11,12 @@ from prtbake_storage.decode.sh import MOST_ORDER, eval_sh
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.basis.projection import RIDGE, LeastSquaresProjection, project
+from prtbake_workers.basis.projection import Projecting
 from prtbake_workers.basis.sh_light import sh_light
 
 
 @dataclass(frozen=True)
-class ShBasis:
+class ShBasis(Projecting):
     """All real spherical harmonics of the degrees below ``order``.
 
     Attributes
@@ -84,16 +84,6 @@ class ShBasis:
     ) -> Float64[F64, "dirs coeffs"]:
         """Tabulate the functions."""
         return eval_sh(self.order, directions)
-
-    def projection(
-        self,
-        directions: Float64[F64, "dirs 3"],
-        weights: Float64[F64, " dirs"],
-        *,
-        ridge: float = RIDGE,
-    ) -> LeastSquaresProjection:
-        """Prepare the regularised least-squares projection of samples."""
-        return project(self.reconstruction_matrix(directions), weights, ridge=ridge)
 
     def light_from_radiance(
         self,

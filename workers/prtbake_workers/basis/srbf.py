@@ -18,7 +18,7 @@ from prtbake_storage.decode.srbf import (
 from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.basis.projection import RIDGE, LeastSquaresProjection, project
+from prtbake_workers.basis.projection import Projecting
 
 __all__ = [
     "SrbfBasis",
@@ -149,7 +149,7 @@ class WhitenedBasis:
         return cls(arrays["centres"], numbers["bandwidth"], arrays["inv_sqrt_gram"])
 
 
-class SrbfBasis:
+class SrbfBasis(Projecting):
     """Gaussian SRBFs of one bandwidth on fixed centres, used through whitened coefficients.
 
     Parameters
@@ -232,16 +232,6 @@ class SrbfBasis:
     ) -> Float64[F64, "dirs coeffs"]:
         """Tabulate the whitened basis, see `WhitenedBasis`."""
         return self.functions.reconstruction_matrix(directions)
-
-    def projection(
-        self,
-        directions: Float64[F64, "dirs 3"],
-        weights: Float64[F64, " dirs"],
-        *,
-        ridge: float = RIDGE,
-    ) -> LeastSquaresProjection:
-        """Prepare the regularised least-squares projection of samples."""
-        return project(self.reconstruction_matrix(directions), weights, ridge=ridge)
 
     def light_from_radiance(
         self,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class AzimuthalFactorisation(Factorisation):
         "psi_table",
         "phi_table",
     )
+    CHANNELS_OF_PHI: ClassVar[tuple[str, ...]] = ("phi_radial", "phi_table")
     TABLE_NUMBERS: ClassVar = (
         "n_theta",
         "n_phi",
@@ -129,21 +130,17 @@ class AzimuthalFactorisation(Factorisation):
         """Replace the channels of phi by their mean; the same where there is one."""
         if self.n_channels == 1:
             return self
-        return replace(
-            self,
-            phi_radial=self.phi_radial.mean(axis=2, keepdims=True),
-            phi_table=self.phi_table.mean(axis=2, keepdims=True),
-            brdf=None,
-        )
+        means = {name: own.mean(axis=2, keepdims=True) for name, own in self._coloured().items()}
+        return replace(self, **means, brdf=None)
 
     def tinted(self, colour: Float64[F64, " _"]) -> "AzimuthalFactorisation":
         """Multiply phi by a colour of one channel or three; psi and the values stay."""
-        return replace(
-            self,
-            phi_radial=self.phi_radial * colour,
-            phi_table=self.phi_table * colour.astype(np.float32),
-            brdf=None,
-        )
+        tinted = {name: own * colour.astype(own.dtype) for name, own in self._coloured().items()}
+        return replace(self, **tinted, brdf=None)
+
+    def _coloured(self) -> dict[str, Any]:
+        """Give the arrays that hold a channel of phi on their third axis."""
+        return {name: getattr(self, name) for name in self.CHANNELS_OF_PHI}
 
     @cached_property
     def _psi(self) -> RadialTable:

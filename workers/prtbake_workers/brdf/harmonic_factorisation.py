@@ -1,6 +1,6 @@
 """The sum of products of an isotropic BRDF whose view side is in hemispherical harmonics."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -46,6 +46,10 @@ class HarmonicFactorisation(AzimuthalFactorisation):
         "view_coefficients",
         "light_coefficients",
     )
+    CHANNELS_OF_PHI: ClassVar[tuple[str, ...]] = (
+        *AzimuthalFactorisation.CHANNELS_OF_PHI,
+        "view_coefficients",
+    )
 
     functions: Int32[I32, " functions"]
     view_coefficients: Float64[F64, "degrees units channels"]
@@ -83,28 +87,6 @@ class HarmonicFactorisation(AzimuthalFactorisation):
         )[orders]
         psi: F64 = np.einsum("knlc,lkc->nk", fitted, self.light_coefficients)
         return psi[..., None]
-
-    def greyed(self) -> "HarmonicFactorisation":
-        """Replace the channels of phi by their mean; the same where there is one."""
-        if self.n_channels == 1:
-            return self
-        return replace(
-            self,
-            phi_radial=self.phi_radial.mean(axis=2, keepdims=True),
-            phi_table=self.phi_table.mean(axis=2, keepdims=True),
-            view_coefficients=self.view_coefficients.mean(axis=2, keepdims=True),
-            brdf=None,
-        )
-
-    def tinted(self, colour: Float64[F64, " _"]) -> "HarmonicFactorisation":
-        """Multiply phi by a colour of one channel or three; psi and the values stay."""
-        return replace(
-            self,
-            phi_radial=self.phi_radial * colour,
-            phi_table=self.phi_table * colour.astype(np.float32),
-            view_coefficients=self.view_coefficients * colour,
-            brdf=None,
-        )
 
 
 def degrees_of(m: int, order: int, functions: Int32[I32, " functions"]) -> list[int]:

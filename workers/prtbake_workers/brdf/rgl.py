@@ -1,6 +1,6 @@
 """Measured BRDFs of the EPFL material database, in their adaptive parametrisation."""
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,8 +19,38 @@ CHUNK = 8192
 """Pairs of directions a pass: their dozens of temporaries then fit the cache."""
 
 
+class ChunkedTensor(ABC):
+    """A measured BRDF that is known with the cosine of the view, for rows of pairs."""
+
+    @property
+    def n_channels(self) -> int:
+        """Three: linear Rec.709."""
+        return 3
+
+    def eval_brdf(
+        self, wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
+    ) -> Float64[F64, "... channels"]:
+        """Evaluate in 1/sr; 0 below the horizon."""
+        above = above_horizon(wi, wo)
+        _, cos_o = clamped_cosines(wi, wo)
+        light, view = (side.reshape(-1, 3) for side in np.broadcast_arrays(wi, wo))
+        value = np.zeros((len(light), 3))
+        for start in range(0, len(light), CHUNK):
+            rows = slice(start, start + CHUNK)
+            value[rows] = self._reflected(light[rows], view[rows])
+        value = value.reshape(*above.shape, 3) / cos_o[..., None]
+        value[~above] = 0.0
+        return value
+
+    @abstractmethod
+    def _reflected(
+        self, light: Float64[F64, "n 3"], view: Float64[F64, "n 3"]
+    ) -> Float64[F64, "n 3"]:
+        """Evaluate with the cosine of the view."""
+
+
 @dataclass(frozen=True, eq=False)
-class RglTensor:
+class RglTensor(ChunkedTensor):
     """``rgb(s) ndf(u_m) / (4 sigma(theta_i) cos_o)`` [Dupuy2018]_, one channel a colour.
 
     u_m are the half vector's angles on the unit square, ``(sqrt(2 theta_m / pi),
@@ -63,17 +93,6 @@ class RglTensor:
         check_facets_seen(self.vndf, self.theta_i)
         object.__setattr__(self, "_warp", BilinearWarp(self.vndf))
 
-    @property
-    def n_channels(self) -> int:
-        """Three: linear Rec.709."""
-        return 3
-
-    def eval_brdf(
-        self, wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
-    ) -> Float64[F64, "... channels"]:
-        """Evaluate in 1/sr; 0 below the horizon."""
-        return eval_in_chunks(self._reflected, wi, wo)
-
     def _reflected(
         self, light: Float64[F64, "n 3"], view: Float64[F64, "n 3"]
     ) -> Float64[F64, "n 3"]:
@@ -88,22 +107,6 @@ class RglTensor:
         value *= look_up(self.ndf[None, :, :, None], slices_at(np.zeros(1), x), x, y)
         area = np.interp(unit_polar(theta_i), np.linspace(0.0, 1.0, len(self.sigma)), self.sigma)
         return value / (4.0 * np.maximum(area, SIGMA_FLOOR)[:, None])
-
-
-def eval_in_chunks(
-    reflected: Callable[[F64, F64], F64], wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
-) -> Float64[F64, "... 3"]:
-    """Evaluate a BRDF that is known with the cosine of the view, for rows of pairs."""
-    above = above_horizon(wi, wo)
-    _, cos_o = clamped_cosines(wi, wo)
-    light, view = (side.reshape(-1, 3) for side in np.broadcast_arrays(wi, wo))
-    value = np.zeros((len(light), 3))
-    for start in range(0, len(light), CHUNK):
-        rows = slice(start, start + CHUNK)
-        value[rows] = reflected(light[rows], view[rows])
-    value = value.reshape(*above.shape, 3) / cos_o[..., None]
-    value[~above] = 0.0
-    return value
 
 
 def check_not_negative(name: str, array: NDArray[Any]) -> None:

@@ -16,9 +16,9 @@ from prtbake_workers.brdf.bilinear_warp import (
 )
 from prtbake_workers.brdf.rgl import (
     SIGMA_FLOOR,
+    ChunkedTensor,
     check_facets_seen,
     check_not_negative,
-    eval_in_chunks,
     spherical,
     unit_polar,
 )
@@ -32,7 +32,7 @@ AZIMUTH_SLACK = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class OrientedRglTensor:
+class OrientedRglTensor(ChunkedTensor):
     """``rgb(s) ndf(u_m) / (4 sigma(u_i) cos_o)`` [Dupuy2018]_, by the light's angle and azimuth.
 
     As `RglTensor`, but that azimuths are those of the surface: u_m is ``(sqrt(2 theta_m / pi),
@@ -89,11 +89,6 @@ class OrientedRglTensor:
         object.__setattr__(self, "_warp", BilinearWarp(flat))
 
     @property
-    def n_channels(self) -> int:
-        """Three: linear Rec.709."""
-        return 3
-
-    @property
     def mirror_images(self) -> int:
         """How many of the mirror images of `SymmetrisedOriented` differ from each other."""
         return 4 // self.reduction
@@ -102,12 +97,6 @@ class OrientedRglTensor:
     def is_isotropic(self) -> bool:
         """No: it was measured from several azimuths."""
         return False
-
-    def eval_brdf(
-        self, wi: Float64[F64, "... 3"], wo: Float64[F64, "... 3"]
-    ) -> Float64[F64, "... channels"]:
-        """Evaluate in 1/sr; 0 below the horizon."""
-        return eval_in_chunks(self._reflected, wi, wo)
 
     def _reflected(
         self, light: Float64[F64, "n 3"], view: Float64[F64, "n 3"]

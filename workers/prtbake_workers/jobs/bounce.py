@@ -305,8 +305,8 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
             fewer = f" in place of {planned}" if rays < planned else ""
             means = f", averaged over neighbours {rounds} time{'s'[: rounds - 1]}" if rounds else ""
             found.append(
-                f"{part['name']}: bounced light is that of {rays} rays a vertex{fewer}{means}: "
-                "measured to be near enough to the truth"
+                f"{part['name']}: bounced light is that of {rays} rays a vertex{fewer}{means}, "
+                "by errors measured at a few vertices"
             )
     if any(block["left_out"] is None for block in blocks):
         found.append(
