@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec, PhongSpec, WardSpec
 from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.basis.sh import HemisphereBasis, eval_sh, glossy_matrix
+from prtbake_workers.brdf.checks import check_factorisation
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
 from prtbake_workers.brdf.harmonic_factorisation import HarmonicFactorisation
@@ -179,6 +180,26 @@ def test_a_constant_brdf_keeps_its_one_term_and_an_anisotropic_one_is_refused(ex
     with pytest.raises(SettingsError, match="anisotropic") as refused:
         factorise_harmonic(ward, ORDER, exitant.kept)
     assert refused.value.pointer == "/settings/bake/factorisation"
+
+
+def test_a_brdf_without_the_symmetry_it_claims_is_refused(exitant):
+    ward = brdf_from_spec(WardSpec(alpha_x=0.2, alpha_y=0.5))
+
+    class Quiet:
+        n_channels = 1
+        eval_brdf = staticmethod(ward.eval_brdf)
+
+    with pytest.raises(BrdfError, match="isotropic and mirror-symmetric"):
+        factorise_harmonic(Quiet(), ORDER, exitant.kept)
+
+
+def test_the_loss_of_a_lobe_between_the_nodes_is_measured_finer(exitant):
+    narrow = brdf_from_spec(CookTorranceSpec(kd=0.3, ks=0.05, m=0.05, f0=0.2))
+    found = factorise_harmonic(narrow, ORDER, exitant.kept)
+    exact = check_factorisation(narrow, found, n_theta=160, n_phi=640).relative_error
+    assert found.energy_lost == pytest.approx(exact, rel=5e-3)
+    coarse = check_factorisation(narrow, found).relative_error
+    assert coarse != pytest.approx(exact, rel=5e-3)
 
 
 @pytest.mark.parametrize("functions", [[0, 1], [0, 25]])

@@ -132,6 +132,20 @@ def test_the_report_tells_what_each_bounce_added(coloured):
     assert decided["interreflection"]["forced"]
 
 
+def test_rays_that_leave_more_than_the_tolerance_are_noted(coloured):
+    def said(tolerance):
+        plan = coloured["plan"][0]["plan"]
+        notes = bounce.notes(
+            coloured, plan | {"bounces": plan["bounces"] | {"tolerance": tolerance}}
+        )
+        return [note for note in notes if "ask for more bounce_rays" in note]
+
+    noise = bounce.errors(coloured)
+    worst = max(noise[f"{part['name']} rays"] for part in coloured["plan"][0]["plan"]["parts"])
+    assert any(note.startswith("object:") for note in said(0.1 * worst))
+    assert not said(1.01 * worst)
+
+
 def test_the_page_shows_the_bounces_of_every_part(coloured):
     account = gather("x", coloured)["bounces"]
     empty = make_report(title="x", stages=[])

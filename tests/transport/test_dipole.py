@@ -190,6 +190,18 @@ def test_average_over_a_patch_is_of_second_order():
     assert plain[2] > 10 * errors[2]
 
 
+def test_no_patch_sends_less_than_nothing():
+    """A patch far wider than the mean free path: the second order alone would be negative."""
+    dipole = grey(1.0, 5.0)
+    near = np.array([[0.05, 0.0, 0.0]])
+    flat = np.diag([0.0, 0.04, 0.04])[None]
+    distance = np.array([1e-4, 0.05])
+    slope = np.diff(dipole.profile(distance)[0]) / np.diff(distance) / 0.05
+    assert dipole.profile(distance)[0, 1] + 0.5 * 0.08 * 20 * slope[0] < 0.0
+    assert dipole.profile_over(near, 20 * flat)[0, 0] == 0.0
+    assert dipole.profile_over(near, 1e-3 * flat)[0, 0] > 0.0
+
+
 def test_a_patch_without_size_is_the_profile():
     dipole = Dipole.of_material("skin1", mm_per_unit=1.0)
     away = np.array([[0.0, 0.0, 0.0], [0.3, -0.4, 1.2]])

@@ -169,6 +169,8 @@ def test_rows_that_were_built_before_serve_as_well(surface, scattering, direct):
     assert given.report == scattering.report
     with pytest.raises(SettingsError, match="rows of 60 vertices for 162"):
         PartScattering(scene, MEDIUM, rows=rows[:1])
+    with pytest.raises(SettingsError, match="rows of vertex 60 where those of 0 should be"):
+        PartScattering(scene, MEDIUM, rows=rows[::-1])
     grey = Dipole(np.array([5.0]), np.array([0.5]), 1.3)
     with pytest.raises(SettingsError, match="0 to 60 are those of another operator"):
         PartScattering(scene, grey, rows=rows)

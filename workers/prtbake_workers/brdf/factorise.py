@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from prtbake_storage.errors import BrdfError, SettingsError
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, Float64
 from prtbake_workers.brdf.azimuthal_factorisation import AzimuthalFactorisation
 from prtbake_workers.brdf.base import Brdf, is_isotropic
@@ -15,12 +15,15 @@ from prtbake_workers.brdf.constant_factorisation import constant_factorisation, 
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise_oriented import factorise_oriented
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
-from prtbake_workers.brdf.measured_loss import GRID_TOLERANCE, with_measured_loss
+from prtbake_workers.brdf.isotropy import check_isotropy
+from prtbake_workers.brdf.measured_loss import (
+    CHECK_GRID,
+    GRID_TOLERANCE,
+    norm_ratio,
+    with_measured_loss,
+)
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
 from prtbake_workers.brdf.spectrum import AzimuthalSpectrum
-
-CHECK_GRID = (122, 480)
-"""Rings and azimuths on which such a lobe is measured: four digits at Cook-Torrance m 0.05."""
 
 
 def factorise(
@@ -78,7 +81,7 @@ def factorise(
         return factorise_oriented(
             brdf, n_terms=n_terms, energy_lost=energy_lost, grid=grid, max_terms=max_terms
         )
-    _check_isotropy(brdf)
+    check_isotropy(brdf)
     # the blocks are small, and the number of threads would change the last bits
     with threadpool_limits(limits=1, user_api="blas"):
         return _factorise(brdf, grid, n_terms, energy_lost, max_terms, n_nodes)
@@ -126,47 +129,12 @@ def _factorise(
         brdf=brdf,
     )
     found = _with_tables(draft, n_nodes)
-    ratio = _norm_ratio(brdf, grid)
+    ratio = norm_ratio(brdf, grid)
     if abs(ratio - 1.0) <= GRID_TOLERANCE:
         return found
     n_theta, n_phi = CHECK_GRID
     report = check_factorisation(brdf, found, n_theta=n_theta, n_phi=n_phi)
     return with_measured_loss(found, report.relative_error, ratio)
-
-
-def _check_isotropy(brdf: Brdf) -> None:
-    """Refuse a BRDF that a common turn or a mirror changes: half circles would misread it."""
-    theta = np.array([0.2, 0.7, 1.2])
-    turn = np.array([0.0, 1.0, 2.5])
-    delta = 0.8
-    wi = _directions(theta, np.zeros(3))
-    reference = brdf.eval_brdf(wi, _directions(theta[::-1], np.full(3, delta)))
-    for sign in (1.0, -1.0):
-        turned = brdf.eval_brdf(
-            _directions(theta, turn), _directions(theta[::-1], turn + sign * delta)
-        )
-        if not np.allclose(turned, reference, rtol=1e-9, atol=1e-12):
-            raise BrdfError("the BRDF is not isotropic and mirror-symmetric")
-
-
-def _directions(theta: Float64[F64, " n"], phi: Float64[F64, " n"]) -> Float64[F64, "n 3"]:
-    sine = np.sin(theta)
-    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
-
-
-def _squared_norm(brdf: Brdf, grid: HemisphereGrid) -> float:
-    """Squared norm of the BRDF with the weight cos_i^2 cos_o^2, by the grid's quadrature."""
-    blocks = azimuthal_blocks(brdf, grid.cosines, grid.cosines, grid.n_phi)
-    weight = grid.cosines**2 * grid.ring_weight
-    orders = np.arange(len(blocks), dtype=np.int32)
-    energy = np.einsum("mioc,mioc,i,o->m", blocks, blocks, weight, weight, optimize=True)
-    return float(np.sum(energy / norm_of_order(orders)))
-
-
-def _norm_ratio(brdf: Brdf, grid: HemisphereGrid) -> float:
-    """Squared norm over that on a grid twice as fine: far from 1 the lobe slips between nodes."""
-    fine = HemisphereGrid(2 * grid.n_theta, 2 * grid.n_phi)
-    return _squared_norm(brdf, grid) / _squared_norm(brdf, fine)
 
 
 def _decompose(

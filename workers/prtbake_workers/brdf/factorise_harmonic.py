@@ -21,11 +21,17 @@ from prtbake_workers.brdf.harmonic_factorisation import (
     radial_harmonics,
 )
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
+from prtbake_workers.brdf.isotropy import check_isotropy
+from prtbake_workers.brdf.measured_loss import CHECK_GRID, GRID_TOLERANCE, norm_ratio
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
 
 RANK_TOLERANCE = 1e-10
 """Share of the energy that a term must hold: colours share lobes, and BRDFs of low degree need
 fewer terms than there are harmonics; below are roundings."""
+
+FINER_GRID = (61, 240)
+"""Rings and azimuths on which the loss is measured where the factorisation's own resolve the lobe.
+"""
 
 
 def factorise_harmonic(
@@ -66,13 +72,15 @@ def factorise_harmonic(
     SettingsError
         The BRDF is anisotropic.
     BrdfError
-        It gives a negative or non-finite value, or the harmonics miss more than its energy.
+        It gives a negative or non-finite value, lacks the symmetry it claims, or the harmonics miss
+        more than its energy.
     """
     if not is_isotropic(brdf):
         raise SettingsError(
             "an anisotropic BRDF has no factorisation in spherical harmonics: take svd",
             pointer="/settings/bake/factorisation",
         )
+    check_isotropy(brdf)
     grid = HemisphereGrid(n_theta, n_phi)
     # the matrices are small, and the number of threads would change the last bits
     with threadpool_limits(limits=1, user_api="blas"):
@@ -87,7 +95,9 @@ def factorise_harmonic(
             psi_table=draft.radial_exact(at, light_side=True)[..., 0].astype(np.float32),
             phi_table=draft.radial_exact(at, light_side=False).astype(np.float32),
         )
-        lost = check_factorisation(brdf, found).relative_error
+        is_resolved = abs(norm_ratio(brdf, grid) - 1.0) <= GRID_TOLERANCE
+        rings, azimuths = FINER_GRID if is_resolved else CHECK_GRID
+        lost = check_factorisation(brdf, found, n_theta=rings, n_phi=azimuths).relative_error
     if lost > 1.0:
         raise BrdfError(
             f"{found.n_terms} terms of hemispherical harmonics miss {lost:.0%} of the BRDF's "

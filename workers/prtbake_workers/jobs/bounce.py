@@ -279,7 +279,7 @@ def scattering_notes(results: Results, plan: dict[str, Any]) -> list[str]:
 
 
 def notes(results: Results, plan: dict[str, Any]) -> list[str]:
-    """Say where bounces were cut before the tolerance, or nothing bounds what they leave."""
+    """Say where bounces were cut, or err by more than the tolerance, or nothing bounds the rest."""
     if plan["bounces"] is None or not plan["bounces"]["max_bounces"]:
         return []
     found, blocks, tolerance = [], results["bounces"], plan["bounces"]["tolerance"]
@@ -307,6 +307,14 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
             found.append(
                 f"{part['name']}: bounced light is that of {rays} rays a vertex{fewer}{means}, "
                 "by errors measured at a few vertices"
+            )
+    measured = errors(results)
+    for part in plan["parts"]:
+        noise = measured.get(f"{part['name']} rays", 0.0)
+        if noise > tolerance > 0.0:
+            found.append(
+                f"{part['name']}: the bounces' rays leave {noise:.1e} of the energy to chance, the "
+                f"tolerance is {tolerance:.1e}: ask for more bounce_rays"
             )
     if any(block["left_out"] is None for block in blocks):
         found.append(

@@ -171,7 +171,7 @@ class Dipole:
             From the patch's centroid to the point.
         spread
             Covariance S of the patch's points: ``R_d + (tr S g + v . S v h) / 2`` with the point at
-            v, where the gradient of R_d is ``g v`` and that of g is ``h v``.
+            v, where the gradient of R_d is ``g v`` and that of g is ``h v``; 0 at least.
         """
         total = np.empty((self.n_channels, len(away)))
         for start in range(0, len(away), PATCHES_PER_CHUNK):
@@ -197,6 +197,8 @@ class Dipole:
                 # squares of lengths apart: their product may leave float64
                 series += (across * inverse**2) * inverse**2 * second
                 total[channel] += series * np.exp(-fall) * (depth * inverse) * inverse * inverse
+        # of patches wider than their distance the second order may take more than there is
+        np.maximum(total, 0.0, out=total)
         return np.asarray(total * (self.albedo / (4.0 * np.pi))[:, None])
 
     @cached_property

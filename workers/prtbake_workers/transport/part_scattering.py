@@ -165,6 +165,13 @@ class PartScattering:
         n_verts = sum(one.stop - one.start for one in self._rows)
         if n_verts != self.scene.n_vertices:
             raise SettingsError(f"rows of {n_verts} vertices for {self.scene.n_vertices}")
+        expected = 0
+        for one in self._rows:
+            if one.start != expected:
+                raise SettingsError(
+                    f"rows of vertex {one.start} where those of {expected} should be"
+                )
+            expected = one.stop
         n_sources = self.scene.n_vertices + self.operator.tree.n_nodes
         for one in self._rows:
             if len(one.values) != self.dipole.n_channels or one.columns.max(initial=0) >= n_sources:
