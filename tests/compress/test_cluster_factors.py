@@ -110,3 +110,19 @@ def test_folding_gives_the_same_weights_in_one_product(z):
     np.testing.assert_allclose(z.reshape(len(z), -1) @ folded.T, expected, atol=1e-5)
     turned = ClusterFactors(factors.light[::-1].copy(), factors.dual).folded(z.shape[1])
     assert not np.allclose(z.reshape(len(z), -1) @ turned.T, expected, atol=1e-5)
+
+
+def test_sweeps_from_a_start_come_as_near_as_the_best_steps(z):
+    """Each step takes one iteration, and the sweeps repeat it: monotone, and to the same end."""
+    ones = np.ones(len(z))
+    start = _fit(z, ones, 0)
+    errors = [squared_residuals(z, start).sum()]
+    factors = start
+    for _ in range(30):
+        factors = _fit(z, ones, 1, factors)
+        errors.append(squared_residuals(z, factors).sum())
+    # residuals are float32 differences
+    assert (np.diff(errors) < 1e-6 * errors[0]).all()
+    best = squared_residuals(z, _fit(z, ones, 30)).sum()
+    assert errors[0] > 1.01 * best
+    np.testing.assert_allclose(errors[-1], best, rtol=1e-3)

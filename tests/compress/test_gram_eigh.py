@@ -4,6 +4,7 @@ import pytest
 from prtbake_workers.compress.gram_eigh import (
     leading_eigenvectors,
     leading_row_space,
+    nearer_row_space,
     orthonormal_rows,
 )
 
@@ -69,3 +70,28 @@ def test_eigenvectors_fall_and_equal_eigenvalues_stay_orthonormal(rng: np.random
     np.testing.assert_allclose(values, spectrum[:15], rtol=1e-12)
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(15), atol=1e-9)
     assert leading_eigenvectors(np.eye(3), 8)[1].shape == (3, 3)
+
+
+def test_an_iteration_holds_no_less_and_ends_at_the_leading_rows(rng):
+    matrix = rng.standard_normal((40, 30)) * 0.8 ** np.arange(30)
+    exact = leading_row_space(matrix, 5)
+    best = np.linalg.norm(matrix @ exact.T)
+    basis = np.linalg.qr(rng.standard_normal((30, 5)))[0].T
+    held = [np.linalg.norm(matrix @ basis.T)]
+    for _ in range(60):
+        basis = nearer_row_space(matrix, basis)
+        np.testing.assert_allclose(basis @ basis.T, np.eye(5), atol=1e-13)
+        held.append(np.linalg.norm(matrix @ basis.T))
+    assert (np.diff(held) > -1e-14 * best).all()
+    assert held[1] > 1.1 * held[0]
+    # the fifth and sixth singular values are about 0.8 apart: 0.8^(4 * 60) of what was missing
+    assert held[-1] == pytest.approx(best, rel=1e-10)
+    np.testing.assert_allclose(basis.T @ basis, exact.T @ exact, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(3, 30), (40, 4)])
+def test_a_matrix_of_few_rows_or_columns_keeps_what_it_has(shape, rng):
+    matrix = rng.standard_normal(shape)
+    start = np.linalg.qr(rng.standard_normal((shape[1], min(5, shape[1]))))[0].T
+    basis = nearer_row_space(matrix, start)
+    assert np.linalg.norm(matrix @ basis.T) == pytest.approx(np.linalg.norm(matrix), rel=1e-12)

@@ -12,7 +12,11 @@ import numpy as np
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress.energy import row_chunks, row_energy
-from prtbake_workers.compress.gram_eigh import leading_eigenvectors, leading_row_space
+from prtbake_workers.compress.gram_eigh import (
+    leading_eigenvectors,
+    leading_row_space,
+    nearer_row_space,
+)
 
 View = Float32[F32, "verts r_view coeffs"]
 # Rows of this many float32 products are summed before they join the float64 Gram matrix.
@@ -83,27 +87,46 @@ def vertex_basis(
 
 
 def light_step(
-    z: View, u_vert: Float64[F64, "verts kept"], root_weights: Float64[F64, " verts"], rank: int
+    z: View,
+    u_vert: Float64[F64, "verts kept"],
+    root_weights: Float64[F64, " verts"],
+    rank: int,
+    start: Float32[F32, "coeffs r_light"] | None = None,
 ) -> Float32[F32, "coeffs r_light"]:
-    """Return the best U_light,c for a given U_vert,c."""
+    """Return the best U_light,c for a given U_vert,c, or a better one than ``start``."""
     n_verts, r_view, n_coeffs = z.shape
     mixing = (u_vert * root_weights[:, None]).T.astype(np.float32)
     mixed = mixing @ z.reshape(n_verts, r_view * n_coeffs)
     rows = mixed.reshape(-1, n_coeffs).astype(np.float64)
-    return leading_row_space(rows, rank).T.astype(np.float32)
+    return _row_space(rows, rank, None if start is None else start.T.astype(np.float64)).T.astype(
+        np.float32
+    )
 
 
 def vertex_step(
-    projected: Float32[F32, "verts r_view_light"], root_weights: Float64[F64, " verts"], rank: int
+    projected: Float32[F32, "verts r_view_light"],
+    root_weights: Float64[F64, " verts"],
+    rank: int,
+    u_vert: Float64[F64, "verts kept"] | None = None,
 ) -> Float32[F32, "r_vert r_view_light"]:
-    """Return the best V_c for a given U_light,c, whose ``project_light`` is ``projected``.
+    """Return the best V_c for a given U_light,c, or a better one than goes with ``u_vert``.
 
-    V_c is the leading row space of the projected data, which is eq. (16) of [Tsai2006]_ without
-    its division by zero where the cluster has lower rank than asked for.
+    V_c is the leading row space of ``projected``, the cluster's ``project_light``: eq. (16) of
+    [Tsai2006]_ without its division by zero where the cluster has lower rank than asked for.
     """
     rows = projected.astype(np.float64)
     rows *= root_weights[:, None]
-    return leading_row_space(rows, rank).astype(np.float32)
+    start = None if u_vert is None else np.linalg.qr(rows.T @ u_vert)[0].T
+    return _row_space(rows, rank, start).astype(np.float32)
+
+
+def _row_space(
+    rows: Float64[F64, "rows dims"], rank: int, start: Float64[F64, "kept dims"] | None
+) -> Float64[F64, "kept dims"]:
+    """Take one iteration from a start of full rank, which the sweeps repeat; all of it without."""
+    if start is None or len(start) < rank:
+        return leading_row_space(rows, rank)
+    return nearer_row_space(rows, start)
 
 
 def fit_cluster(
@@ -118,20 +141,24 @@ def fit_cluster(
     """Return the factors after so many sweeps from ``start``, and the squared residuals.
 
     A sweep is a light step and a vertex step; neither can raise the weighted squared error of
-    ``start``.  Without one, the light mode's own leading vectors are the start.
+    ``start``.  Without one, the light mode's own leading vectors are the start, and each step takes
+    the best basis; with one, each brings its basis one iteration nearer to the best.
     """
+    n_verts, r_view, n_coeffs = z.shape
     if start is None:
         light = initial_light_basis(z, root_weights, r_light)
         projected = project_light(z, light)
         dual = vertex_step(projected, root_weights, r_vert)
+        weights = projected @ dual.T
     else:
         light, dual = start
-        projected = project_light(z, light)
+        weights = z.reshape(n_verts, r_view * n_coeffs) @ start.folded(r_view).T
     for _ in range(sweeps):
-        u_vert = vertex_basis(projected @ dual.T, root_weights)
-        light = light_step(z, u_vert, root_weights, r_light)
+        u_vert = vertex_basis(weights, root_weights)
+        light = light_step(z, u_vert, root_weights, r_light, light if start else None)
         projected = project_light(z, light)
-        dual = vertex_step(projected, root_weights, r_vert)
+        dual = vertex_step(projected, root_weights, r_vert, u_vert if start else None)
+        weights = projected @ dual.T
     factors = ClusterFactors(light, dual)
     return factors, squared_residuals(z, factors, projected)
 

@@ -73,3 +73,24 @@ def leading_row_space(matrix: Float64[F64, "rows dims"], rank: int) -> Float64[F
     if not wide:
         return np.ascontiguousarray(vectors.T)
     return orthonormal_rows(vectors.T @ matrix / np.sqrt(values)[:, None])
+
+
+def nearer_row_space(
+    matrix: Float64[F64, "rows dims"], start: Float64[F64, "given dims"]
+) -> Float64[F64, "kept dims"]:
+    """Bring an orthonormal basis nearer to the leading right singular vectors, by one iteration.
+
+    With the orthonormal basis Q of the columns of ``M start^T`` the result spans the rows of
+    ``Q^T M``: an orthogonal iteration of ``M^T M``, without that matrix.  It holds no less of M
+    than ``start`` did, as ``|Q^T M| >= |Q^T M start^T| = |M start^T|``.
+
+    Parameters
+    ----------
+    matrix
+        M, any shape, in float64.
+    start
+        Orthonormal rows.  The result has as many, or those of M where M has fewer; directions
+        that M lacks are arbitrary.
+    """
+    q = np.linalg.qr(matrix @ start.T)[0]
+    return np.ascontiguousarray(np.linalg.qr((q.T @ matrix).T)[0].T)
