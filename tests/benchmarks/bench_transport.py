@@ -1,37 +1,26 @@
 """Transport: shadow rays beside bare Embree, the projection beside its dense product, the bake.
 
-The mesh is the bunny of the real-data folder where ``PRTBAKE_DATA`` names one, else a teapot of as
-many vertices.  The unit of the bake is the classification product of the compression, measured in
-the same run.  Two threads throughout.
+The unit of the bake is the classification product of the compression, measured in the same run.
+Two threads throughout.
 """
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from glossy_bunny import THREADS, bunny_scene, glossy_terms, srbf_projection
 from harness import Row, best_time, in_child
 from threadpoolctl import threadpool_limits
 
-from prtbake_workers.basis.projection import LeastSquaresProjection
-from prtbake_workers.basis.srbf import SrbfBasis
-from prtbake_workers.brdf.cook_torrance import CookTorrance
-from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.geometry.accelerator import Accelerator
-from prtbake_workers.geometry.icosphere import icosphere
-from prtbake_workers.geometry.loading import load_mesh
-from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.transport.bake import CHUNK_BYTES, bake_block
-from prtbake_workers.transport.directions import CubeDirections, cube_directions
+from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.left_side import (
     Sampling,
     Workspace,
@@ -43,12 +32,11 @@ from prtbake_workers.transport.projection import VertexGroup, plan_projection
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.transport.visibility import padded_directions, visible_fraction
 
-THREADS = 2
 N_VERTICES = 34_834
 UNIT_SHAPE = (N_VERTICES, 5136, 2328)
-LEAST_RAY_SHARE = 0.7
+LEAST_RAY_SHARE = 0.9
 MOST_PRODUCT_SHARE = 0.8
-MOST_BAKE_UNITS = 20.0
+MOST_BAKE_UNITS = 9.0
 MOST_TILE_BYTES = 3 << 29
 MOST_PROJECTION_ERROR = 0.015
 SEED = 0
@@ -164,7 +152,7 @@ def rows(quick: bool) -> list[Row]:
 
 def measure_rays(*, quick: bool) -> dict[str, Any]:
     """Time shadow rays: bare calls on prebuilt arrays in Embree's own frame, and ours."""
-    scene, cube = _scene(quick), cube_directions(32)
+    scene, cube = bunny_scene(quick), cube_directions(32)
     vertices = _spread(scene, (QUICK if quick else FULL).n_rays_vertices)
     points, normals = scene.positions[vertices], scene.normals[vertices]
     origins = offset_origins(points, normals, ray_epsilon(scene.bounds))
@@ -206,7 +194,12 @@ def measure_rays(*, quick: bool) -> dict[str, Any]:
 def measure_product(*, quick: bool) -> dict[str, Any]:
     """Time the stages of one tile apart, and the dense product that the groups replace."""
     size = QUICK if quick else FULL
-    scene, cube, glossy, projection = _scene(quick), cube_directions(32), _glossy(), _projection()
+    scene, cube, glossy, projection = (
+        bunny_scene(quick),
+        cube_directions(32),
+        glossy_terms(),
+        srbf_projection(),
+    )
     vertices = _tile(scene, size.n_product_vertices)
     normals, frames = scene.normals[vertices], scene.frames[vertices]
     sampling = Sampling.of(cube.directions, padded_directions(cube.sub_directions(1)), projection)
@@ -289,11 +282,11 @@ def measure_unit(*, quick: bool) -> dict[str, Any]:
 def measure_bake(*, quick: bool) -> dict[str, Any]:
     """Bake tile after tile, set-up and rounding to 16 bits included."""
     size = QUICK if quick else FULL
-    scene = _scene(quick)
-    glossy = _glossy()
+    scene = bunny_scene(quick)
+    glossy = glossy_terms()
     start = time.perf_counter()
     accelerator = Accelerator(scene.positions, scene.faces)
-    projection, cube = _projection(), cube_directions(32)
+    projection, cube = srbf_projection(), cube_directions(32)
     set_up = time.perf_counter() - start
     sums, done = np.zeros(3), 0
     starts = range(0, scene.n_vertices, size.tile_vertices)
@@ -332,26 +325,6 @@ def _timed(work: Callable[[Any], object], items: Sequence[Any], threads: int) ->
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, items))
     return time.perf_counter() - start
-
-
-def _scene(quick: bool) -> Scene:
-    folder = os.environ.get("PRTBAKE_DATA")
-    if folder:
-        path = Path(folder) / "meshes" / "stanford-bunny.obj"
-        mesh: Mesh = load_mesh(path.read_bytes(), "obj")[0]
-    else:
-        mesh = teapot(8 if quick else 33)
-    return Scene.from_parts([mesh])
-
-
-def _glossy() -> Factorisation:
-    brdf = CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1]))
-    return factorise(brdf, n_terms=16)
-
-
-def _projection() -> LeastSquaresProjection:
-    cube: CubeDirections = cube_directions(32)
-    return SrbfBasis(icosphere(3)).projection(cube.directions, cube.weights)
 
 
 def _tile(scene: Scene, n_verts: int) -> slice:
