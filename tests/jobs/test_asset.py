@@ -275,8 +275,8 @@ def test_lone_kinds_chain_to_the_same_asset(glossy_asset, store):
     validate["settings"] = {**validate["settings"], "cameras": [{"name": "front"}]}
     held = lines_of(run_stages(REGISTRY.stages("validate", validate, context), store))
     assert held == lines_of(results)
-    merged = alone["compression and 16-bit factors"]
-    apart = held["compression"], held["16-bit factors"]
+    merged = alone["compression and rounded factors"]
+    apart = held["compression"], held["rounded factors"]
     assert apart[1] > 0.0
     assert abs(apart[0] - apart[1]) <= merged <= sum(apart)
 

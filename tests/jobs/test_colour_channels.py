@@ -127,7 +127,8 @@ def test_stated_errors_are_those_of_the_files(store, results, exact, rows_and_ar
         rounded = reconstruct(delivered.parts[index], slice(None))
         rounding = areas @ np.sum((rounded - found) ** 2, axis=(1, 2)) / energy
         assert results["quantise"][0]["errors"][part.name] == pytest.approx(rounding, rel=1e-3)
-        assert 0.0 < rounding < 1e-6
+        # a hundredth of what compression leaves, view texture included
+        assert 0.0 < rounding <= 0.01 * ratio
         mixed = rows.reshape(len(rows), -1, 3, COEFFS).swapaxes(1, 2).reshape(rows.shape)
         if part.method == "cta":
             wrong = areas @ np.sum((found - mixed) ** 2, axis=(1, 2)) / energy

@@ -49,7 +49,7 @@ def page(run: Run, pairs: Sequence[RankPair] = ()) -> str:
         f"## Parts\n\n{_parts(report)}",
         "## Each stage's own error\n\nSquared-error ratios in radiance norm, weighted by area, of "
         "what the stage was given: `plan` cuts the BRDF to its terms, `bake` projects transport, "
-        "`quantise` stores factors in 16 bits; that of `fit_light` is of the light itself.\n\n"
+        "`quantise` rounds the factors; that of `fit_light` is of the light itself.\n\n"
         f"{_errors(report)}",
         f"## What each stage cost\n\n{_costs(report)}",
         f"## Bounces\n\n{_bounces(report)}",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.quantise import peak_scales, quantise_asset
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.writer import write_asset
@@ -37,12 +38,105 @@ def differences(a: object, b: object, where: str = "") -> list[str]:
     return [] if a == b else [where]
 
 
-@pytest.mark.parametrize("bits", [16, 32])
+@pytest.mark.parametrize("bits", [8, 16, 32])
 def test_what_write_returns_is_what_read_gives(asset: Asset, tmp_path: Path, bits: int) -> None:
     seen = write_asset(tmp_path / "a.h5", asset, bits=bits)
     assert differences(seen, read_asset(tmp_path / "a.h5")) == []
+    assert differences(seen, quantise_asset(asset, bits)) == []
     assert (differences(seen, asset) == []) == (bits == 32)
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def mixed_scales(asset: Asset) -> list[dict[str, np.ndarray]]:
+    """Scales of 3 to 13 bits, another number for every factor, and a column that is dropped."""
+    chosen = []
+    for start, part in zip((3, 8), asset.parts, strict=True):
+        names = list(peak_scales(part, 16))
+        scales = {name: peak_scales(part, start + i)[name] for i, name in enumerate(names)}
+        scales["weights"][1, 1] = 0.0
+        chosen.append(scales)
+    return chosen
+
+
+def test_scales_of_ones_own(asset: Asset, tmp_path: Path) -> None:
+    path, scales = tmp_path / "a.h5", mixed_scales(asset)
+    seen = write_asset(path, asset, bits=scales, errors=[1e-3, 0.0])
+    back = read_asset(path)
+    assert differences(seen, back) == []
+    assert differences(seen, quantise_asset(asset, scales, [1e-3, 0.0])) == []
+    assert [part.precision.error for part in back.parts if part.precision] == [1e-3, 0.0]
+    glossy = back.parts[0].precision
+    assert glossy is not None
+    assert dict(glossy.bits) == {"weights": 3, "light_bases": 4, "dual_bases": 5, "view_texture": 6}
+    with h5py.File(path) as file:
+        assert file.attrs["bits"] == 10
+        types = {name: file[f"parts/1/{name}"].dtype
+                 for name in ("weights", "clusters/means", "clusters/components")}  # fmt: skip
+        labels = file["parts/0/clusters/labels"].dtype
+    assert types == {
+        "weights": np.int8, "clusters/means": np.int16, "clusters/components": np.int16,
+    }  # fmt: skip
+    assert labels == np.int8
+    # without a measured error the file says none
+    write_asset(path, asset, bits=scales)
+    assert [p.precision.error for p in read_asset(path).parts if p.precision] == [None, None]
+
+
+@pytest.mark.parametrize("clusters", [127, 128, 129, 40_000])
+def test_labels_take_the_smallest_type(asset: Asset, tmp_path: Path, clusters: int) -> None:
+    part = asset.parts[1]
+    labels = np.linspace(0, clusters - 1, part.n_vertices).astype(np.int32)
+    zeros = {"means": (clusters, 42), "components": (clusters, 2, 42)}
+    many = dataclasses.replace(
+        part, labels=labels, ranks=np.ones((clusters, 3), np.int32),
+        **{name: np.zeros(shape, np.float32) for name, shape in zeros.items()},
+    )  # fmt: skip
+    path = tmp_path / "a.h5"
+    write_asset(path, dataclasses.replace(asset, parts=(asset.parts[0], many)))
+    np.testing.assert_array_equal(read_asset(path).parts[1].labels, labels)
+    with h5py.File(path) as file:
+        expected = np.int8 if clusters <= 128 else np.int16 if clusters <= 32768 else np.int32
+        assert file["parts/1/clusters/labels"].dtype == expected
+
+
+def test_files_from_before_bits_were_chosen_are_read(asset: Asset, tmp_path: Path) -> None:
+    """They hold int16 without offset and bits, and labels of 32 bits."""
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+
+    def make_old(name: str, node: object) -> None:
+        if isinstance(node, h5py.Dataset) and "offset" in node.attrs:
+            node[...] = node[...] - node.attrs["offset"]
+            del node.attrs["offset"], node.attrs["bits"]
+
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file.visititems(make_old)
+    for index, part in enumerate(asset.parts):
+        edited(path, f"parts/{index}/clusters/labels", part.labels)
+    assert differences(quantise_asset(asset, 16), read_asset(path)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "attribute", "value"),
+    [
+        ("parts/0/weights", "bits", 15),
+        ("parts/0/weights", "bits", b"16"),
+        ("parts/0/clusters/light_bases", "offset", 1 << 15),
+        ("parts/0/clusters/light_bases", "offset", -128),
+        ("parts/1/clusters/means", "offset", 0.5),
+        ("parts/1", "quantisation_error", -1e-3),
+        ("parts/1", "quantisation_error", float("nan")),
+    ],
+)
+def test_a_precision_that_is_not_that_of_the_levels_is_refused(
+    asset: Asset, tmp_path: Path, name: str, attribute: str, value: object
+) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset, errors=[1e-3, 1e-3])
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file[name].attrs[attribute] = value
+    with pytest.raises(CorruptArtefact, match=f"/{name}: {attribute} is"):
+        read_asset(path)
 
 
 @pytest.mark.parametrize("bits", [16, 32])
@@ -252,7 +346,7 @@ def test_any_hdf5_reader_finds_values_axes_and_scales(asset: Asset, tmp_path: Pa
         bases = file["parts/0/clusters/light_bases"]
         assert bases.attrs["axes"] == b"clusters coeffs light"
         scale = file["parts/0/clusters/" + bases.attrs["scale"].decode()][...]
-        plain = bases[...] * scale
+        plain = (bases[...] - bases.attrs["offset"]) * scale
         assert (bases.compression, bases.shuffle, bases.fletcher32) == ("gzip", True, True)
     assert part.light_bases is not None
     assert np.abs(plain - part.light_bases).max() <= 0.51 * scale.max()

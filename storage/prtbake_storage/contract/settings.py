@@ -191,8 +191,21 @@ class CompressSettings(Wire):
     """Of clustered PCA, a cluster."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
     """Rounds of clustering at most."""
+    bits: Literal[8, 16, "auto"] = "auto"
+    """Of the factors in the asset file; `auto` takes for each column as few as the error allows."""
+    max_quantisation_error: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    """Of `auto`: what rounding may add to a part, squared, relative to its transfer; null is a
+    hundredth of what compression leaves."""
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     """Of a task."""
+
+    @field_validator("max_quantisation_error")
+    @classmethod
+    def _of_auto(cls, bound: float | None, info: ValidationInfo) -> float | None:
+        """Refuse a bound beside a number of bits."""
+        if bound is not None and info.data.get("bits", "auto") != "auto":
+            raise ValueError("max_quantisation_error goes with bits 'auto', not with a number")
+        return bound
 
 
 class FitLightSettings(Wire):

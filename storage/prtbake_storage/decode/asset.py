@@ -89,6 +89,18 @@ class Surface:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Precision:
+    """How exactly the rounded factors of a part are held.
+
+    ``bits`` names each with those that its largest number takes, sign included; ``error`` is the
+    squared-error ratio in radiance norm that rounding adds, None where the file does not say.
+    """
+
+    bits: Mapping[str, int]
+    error: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Part(Surface):
     """A surface with one set of factors.
 
@@ -117,6 +129,8 @@ class Part(Surface):
         (verts, 3, 3) rows tangent, bitangent, normal; needed with a view texture.
     ranks
         (clusters, 3) true (view, light, vert) ranks; for ``cpca`` (1, coeffs, components used).
+    precision
+        Bits of the factors and the error of rounding them; None where they were not rounded.
     """
 
     method: Method
@@ -130,6 +144,7 @@ class Part(Surface):
     means: F32 | None = None
     components: F32 | None = None
     frames: F32 | None = None
+    precision: Precision | None = None
 
     @property
     def n_clusters(self) -> int:

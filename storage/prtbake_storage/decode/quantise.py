@@ -1,21 +1,25 @@
-"""Sixteen-bit factors: what an asset looks like after a round trip through int16.
+"""Rounded factors: what an asset looks like after a round trip through int8 or int16.
 
-A factor x is stored as q = round(x / s) with |q| <= 32767.  One scale s serves one column of one
-cluster (or one channel of one view column): singular values fall by orders of magnitude along the
-columns, and a single scale would leave the last ones a handful of steps.  s keeps only nine bits
-of mantissa, so that q s has at most 24 and is exact in float32: every reader gets the same bits.
+A factor x is stored as q = round(x / s), a level.  One scale s serves one column of one cluster (or
+one channel of one view column): singular values fall by orders of magnitude along the columns, and
+a single scale would leave the last ones a handful of steps.  s keeps only nine bits of mantissa, so
+that q s has at most 24 and is exact in float32: every reader gets the same bits.
+
+The scales are the finest that a number of bits holds (`peak_scales`), or come from whoever allots
+bits to columns by what their errors weigh.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.asset import Asset, Part, Precision
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
@@ -23,6 +27,19 @@ INT16_MAX = 32767
 SCALE_MANTISSA_BITS = 9
 SMALLEST_SCALE = 2.0**-120
 """Below it q s would be denormal; factors that small are zero to every picture."""
+
+SHARED_AXES: Mapping[str, tuple[int, ...]] = {
+    "light_bases": (1,),
+    "dual_bases": (2,),
+    "means": (1,),
+    "components": (2,),
+    "view_texture": (0, 1),
+}
+"""Axes along which a factor shares its scale: one scale a cluster and column, or view column."""
+
+Scales = Mapping[str, F32]
+"""Name of every rounded factor of a part -> its scales: (clusters, R) of the weights, else of the
+factor's shape but for 1 along its `SHARED_AXES`."""
 
 
 @dataclass(frozen=True)
@@ -40,42 +57,102 @@ class Quantised:
 def quantise(array: F32, shared_axes: tuple[int, ...]) -> Quantised:
     """Quantise with one scale along ``shared_axes``; error at most half a scale an element."""
     peak = np.abs(array).max(axis=shared_axes, keepdims=True).astype(np.float64)
-    scale = _scale(peak)
-    values = np.rint(array / np.where(scale > 0, scale, 1.0)).astype(np.int16)
-    return Quantised(values, scale)
+    scale = finest_scale(peak, INT16_MAX)
+    return Quantised(levels(array, scale), scale)
 
 
-def quantise_weights(weights: F32, labels: I32, n_clusters: int) -> tuple[I16, F32]:
-    """Quantise (verts, R) weights with one scale a cluster and column.
+def levels(array: F32, scale: F32) -> I16:
+    """Round to multiples of ``scale``, which broadcasts; 0 where that is 0.
 
-    Returns the int16 values and the (clusters, R) scales.
+    Raises
+    ------
+    ValueError
+        A number is too large for int16 at its scale.
     """
-    peak = np.zeros((n_clusters, weights.shape[1]))
-    np.maximum.at(peak, labels, np.abs(weights).astype(np.float64))
-    scale = _scale(peak)
-    steps = np.where(scale > 0, scale, 1.0)[labels]
-    return np.rint(weights / steps).astype(np.int16), scale
+    rounded = np.rint(array / np.where(scale > 0, scale, 1.0)) * (scale > 0)
+    largest = np.abs(rounded).max(initial=0.0)
+    if not largest <= INT16_MAX:
+        raise ValueError(f"a level of {largest:.0f} does not fit 16 bits: the scale is too fine")
+    values: I16 = rounded.astype(np.int16)
+    return values
 
 
-def _scale(peak: NDArray[np.float64]) -> F32:
-    """Smallest scale of few mantissa bits that brings the peak to at most 32767."""
-    mantissa, exponent = np.frexp(peak / INT16_MAX)
+def finest_scale(peak: F64, largest: int) -> F32:
+    """Smallest scale of few mantissa bits that brings the peak to at most level ``largest``."""
+    return _few_bits(peak / largest, np.ceil)
+
+
+def scale_below(step: F64) -> F32:
+    """Largest scale of few mantissa bits that is no larger than a finite step."""
+    return _few_bits(step, np.floor)
+
+
+def _few_bits(step: F64, to_whole: np.ufunc) -> F32:
+    mantissa, exponent = np.frexp(step)
     steps = 2.0**SCALE_MANTISSA_BITS
-    scale = np.ldexp(np.ceil(mantissa * steps) / steps, exponent)
+    scale = np.ldexp(to_whole(mantissa * steps) / steps, exponent)
     return np.where(scale < SMALLEST_SCALE, 0.0, scale).astype(np.float32)
 
 
-SHARED_AXES: Mapping[str, tuple[int, ...]] = {
-    "light_bases": (1,),
-    "dual_bases": (2,),
-    "means": (1,),
-    "components": (2,),
-    "view_texture": (0, 1),
-}
-"""Axes along which a factor shares its scale: one scale a cluster and column, or view column."""
+def rounded_factors(part: Part) -> Iterator[tuple[str, F32]]:
+    """Name and array of everything that is rounded; the view basis is small and stays exact."""
+    for name in ("weights", *SHARED_AXES):
+        array = getattr(part, name)
+        if array is not None and array.size:
+            yield name, array
 
 
-def quantise_asset(asset: Asset, bits: int) -> Asset:
+def factor_peaks(part: Part) -> dict[str, F64]:
+    """Largest magnitude under each scale; shapes as in `Scales`."""
+    peaks = {}
+    for name, array in rounded_factors(part):
+        if name == "weights":
+            peaks[name] = np.zeros((part.n_clusters, array.shape[1]))
+            np.maximum.at(peaks[name], part.labels, np.abs(array).astype(np.float64))
+        else:
+            peak = np.abs(array).max(axis=SHARED_AXES[name], keepdims=True)
+            peaks[name] = peak.astype(np.float64)
+    return peaks
+
+
+def peak_scales(part: Part, bits: int) -> dict[str, F32]:
+    """Scales with which the largest number of every column takes all of ``bits``, 2 to 16."""
+    largest = 2 ** (bits - 1) - 1
+    return {name: finest_scale(peak, largest) for name, peak in factor_peaks(part).items()}
+
+
+def round_part(part: Part, scales: Scales) -> dict[str, I16]:
+    """Levels of every rounded factor; ValueError names one whose scale is too fine or missing."""
+    rounded = {}
+    for name, array in rounded_factors(part):
+        if name not in scales:
+            raise ValueError(f"{part.name}: no scale for {name}")
+        try:
+            rounded[name] = levels(array, _spread(name, scales[name], part.labels))
+        except ValueError as error:
+            raise ValueError(f"{part.name}/{name}: {error}") from error
+    return rounded
+
+
+def dequantised(name: str, values: NDArray[np.integer], scale: F32, labels: I32) -> F32:
+    """Return the float32 factor of levels; ``scale`` as in `Scales`."""
+    factor: F32 = values.astype(np.float32) * _spread(name, scale, labels)
+    return factor
+
+
+def _spread(name: str, scale: F32, labels: I32) -> F32:
+    """Give every row of the weights the scales of its cluster; those of others broadcast."""
+    return scale[labels] if name == "weights" else scale
+
+
+def bits_of(values: NDArray[np.integer]) -> int:
+    """Bits that the largest level takes with its sign: 16 for 32767, 8 for 127, 1 for zeros."""
+    return int(np.abs(values.astype(np.int32)).max(initial=0)).bit_length() + 1
+
+
+def quantise_asset(
+    asset: Asset, bits: int | Sequence[Scales], errors: Sequence[float] | None = None
+) -> Asset:
     """Return the asset that a reader will see when it is stored with ``bits``.
 
     Parameters
@@ -83,34 +160,57 @@ def quantise_asset(asset: Asset, bits: int) -> Asset:
     asset
         Float32 factors.
     bits
-        16, or 32 for the asset itself.
+        16 or 8 for every factor, 32 for the asset itself, or the scales of each part.
+    errors
+        What rounding adds to each part, where it was measured: kept in its ``precision``.
 
     Returns
     -------
     Asset
-        Normals, frames and all large factors rounded.  Render both to see what 16 bits cost.
+        Normals, frames (both always in 16 bits) and all large factors rounded.  Render both to see
+        what that costs.
 
     Raises
     ------
     ValueError
-        For other bits, or frames that do not stand on the asset's normals.
+        For other bits, scales that do not fit, or frames that do not stand on the asset's normals.
     """
-    if bits == 32:
-        return asset
-    if bits != 16:
-        raise ValueError(f"bits is {bits}, not 16 or 32")
+    if isinstance(bits, int) and bits == 32:
+        held = [part for part in asset.parts if part.precision is not None]
+        parts = tuple(replace(part, precision=None) for part in asset.parts)
+        return replace(asset, parts=parts) if held else asset
     normals = unpack_units(pack_units(asset.normals))
-    parts = tuple(_quantise_part(part, asset.normals, normals) for part in asset.parts)
+    parts = tuple(
+        _quantise_part(part, scales, asset.normals, normals, error)
+        for part, scales, error in zip(
+            asset.parts,
+            asset_scales(asset, bits),
+            errors or [None] * len(asset.parts),
+            strict=True,
+        )
+    )
     return replace(asset, normals=normals, parts=parts)
 
 
-def _quantise_part(part: Part, exact_normals: F32, normals: F32) -> Part:
-    values, scale = quantise_weights(part.weights, part.labels, part.n_clusters)
-    new: dict[str, Any] = {"weights": values.astype(np.float32) * scale[part.labels]}
-    for name, axes in SHARED_AXES.items():
-        array = getattr(part, name)
-        if array is not None:
-            new[name] = quantise(array, axes).dequantised()
+def asset_scales(asset: Asset, bits: int | Sequence[Scales]) -> Sequence[Scales]:
+    """Return the scales of each part; ValueError for bits other than 8 and 16."""
+    if not isinstance(bits, int):
+        return bits
+    if bits not in (8, 16):
+        raise ValueError(f"bits is {bits}, not 8, 16 or 32")
+    return [peak_scales(part, bits) for part in asset.parts]
+
+
+def _quantise_part(
+    part: Part, scales: Scales, exact_normals: F32, normals: F32, error: float | None
+) -> Part:
+    rounded = round_part(part, scales)
+    new: dict[str, Any] = {
+        name: dequantised(name, values, scales[name], part.labels)
+        for name, values in rounded.items()
+    }
+    bits = {name: bits_of(values) for name, values in rounded.items()}
+    new["precision"] = Precision(bits=bits, error=error)
     if part.frames is not None:
         where = slice(*part.vertex_range)
         tangents = pack_tangents(part.name, part.frames, exact_normals[where])

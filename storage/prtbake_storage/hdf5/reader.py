@@ -7,8 +7,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import Asset, Part, check_asset
-from prtbake_storage.decode.quantise import SHARED_AXES, unpack_frames, unpack_units
+from prtbake_storage.decode.asset import Asset, Part, Precision, check_asset
+from prtbake_storage.decode.quantise import (
+    SHARED_AXES,
+    bits_of,
+    dequantised,
+    unpack_frames,
+    unpack_units,
+)
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.basis import get_basis
@@ -16,6 +22,7 @@ from prtbake_storage.hdf5.resources import check_unit, get_faces
 from prtbake_storage.hdf5.tables import child_parts, get_surface
 
 F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
 
 
 def read_asset(path: Path) -> Asset:
@@ -73,36 +80,73 @@ def _part(group: h5py.Group, normals: F32) -> Part:
     if labels.min() < 0 or labels.max() >= len(ranks):
         raise CorruptArtefact(f"{clusters.name}/labels leave [0, {len(ranks)})")
     names = ("light_bases", "dual_bases") if method == "cta" else ("means", "components")
+    bits: dict[str, int] = {}
     factors: dict[str, Any] = {
-        name: _factor(clusters, name, 2 if name == "means" else 3) for name in names
+        name: _factor(clusters, name, 2 if name == "means" else 3, labels, bits) for name in names
     }
     if h5.has(group, "view_texture"):
-        factors["view_texture"] = _factor(group, "view_texture", 4)
-    weights = h5.get(group, "weights", "fi", (verts, None))
-    if weights.dtype.kind == "i":
-        scale = h5.get(group, "weights_scale", "f", (len(ranks), weights.shape[1]))
-        weights = weights.astype(np.float32) * scale.astype(np.float32)[labels]
+        factors["view_texture"] = _factor(group, "view_texture", 4, labels, bits)
+    weights = _factor(group, "weights", 2, labels, bits, len(ranks))
     return Part(
         **surface,
         method=method,
         labels=labels,
-        weights=weights.astype(np.float32),
+        weights=weights,
         ranks=ranks,
         view_basis=h5.get(group, "view_basis", "f", (None, None)).astype(np.float32),
         frames=_frames(group, normals[start:stop]),
+        precision=_precision(group, bits),
         **factors,
     )
 
 
-def _factor(group: h5py.Group, name: str, axes: int) -> F32:
-    array = h5.get(group, name, "fi", (None,) * axes)
+def _factor(
+    group: h5py.Group,
+    name: str,
+    axes: int,
+    labels: I32,
+    bits: dict[str, int],
+    n_clusters: int = 0,
+) -> F32:
+    """Read a factor of the given number of axes, and enter in ``bits`` how it was rounded."""
+    shape = (len(labels), None) if name == "weights" else (None,) * axes
+    array = h5.get(group, name, "fi", shape)
     if array.dtype.kind == "f":
         return array.astype(np.float32)
-    shared = SHARED_AXES[name]
-    shape = tuple(1 if axis in shared else size for axis, size in enumerate(array.shape))
-    scale = h5.get(group, f"{name}_scale", "f", shape)
-    values: F32 = array.astype(np.float32) * scale.astype(np.float32)
-    return values
+    shared = SHARED_AXES.get(name, ())
+    scale_shape = tuple(1 if axis in shared else size for axis, size in enumerate(array.shape))
+    if name == "weights":
+        scale_shape = (n_clusters, array.shape[1])
+    scale: F32 = h5.get(group, f"{name}_scale", "f", scale_shape).astype(np.float32)
+    levels, bits[name] = _levels(h5.dataset(group, name, "i", axes), array)
+    return dequantised(name, levels, scale, labels)
+
+
+def _levels(source: h5py.Dataset, stored: NDArray[Any]) -> tuple[NDArray[Any], int]:
+    """Return levels and their bits; files from before these were chosen have neither attribute."""
+    offset = h5.attribute(source, "offset") if h5.has_attribute(source, "offset") else 0
+    if not isinstance(offset, int) or not 0 <= offset < 1 << 15:
+        raise CorruptArtefact(f"{source.name}: offset is {offset!r}")
+    levels = stored.astype(np.int32) - offset
+    found = bits_of(levels)
+    if not h5.has_attribute(source, "bits"):
+        return levels, found
+    stated = h5.attribute(source, "bits")
+    if stated != found:
+        raise CorruptArtefact(f"{source.name}: bits is {stated!r}, its levels take {found}")
+    return levels, found
+
+
+def _precision(group: h5py.Group, bits: dict[str, int]) -> Precision | None:
+    """Return how a part was rounded; None where its factors are float32."""
+    if not bits:
+        return None
+    error = None
+    if h5.has_attribute(group, "quantisation_error"):
+        error = h5.attribute(group, "quantisation_error")
+        if not isinstance(error, int | float) or not 0.0 <= error < np.inf:
+            raise CorruptArtefact(f"{group.name}: quantisation_error is {error!r}")
+    return Precision(bits=bits, error=error)
 
 
 def _frames(group: h5py.Group, normals: F32) -> F32 | None:

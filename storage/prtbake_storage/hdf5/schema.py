@@ -10,7 +10,8 @@
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation
     /parts/<i>/       attributes name, role, vertex_start, vertex_stop, n_channels, method;
-                      two_sided = 1 where it is so (`prtbake_storage.decode.sides`)
+                      two_sided = 1 where it is so (`prtbake_storage.decode.sides`);
+                      quantisation_error, the squared-error ratio that rounding adds
         material      JSON text
         albedo albedo_texture vertex_colours factorisation/
         clusters/     labels ranks light_bases dual_bases means components
@@ -19,8 +20,11 @@
 Where ``n_channels`` is 3, transfer differs by colour.  An axis ``channel*term``, and its like in
 the factors, then runs through red, green and blue one after the other, as ``c * terms + k``.
 
-A factor held in 16 bits is an int16 dataset ``x`` beside a float32 dataset ``x_scale`` named by
-its attribute ``scale``; the value is ``x * scale``, broadcast.  Every dataset carries the names
+A rounded factor is an int8 or int16 dataset ``x`` beside a float32 dataset ``x_scale`` named by
+its attribute ``scale``; the value is ``(x - offset) * scale``, broadcast (the rows of ``weights``
+take those of their cluster).  ``offset`` is an attribute, 0 where there is none; ``bits`` says how
+many the largest level takes with its sign.  The root's ``bits`` is that of the factor with most,
+or 32 where factors are float32.  Every dataset carries the names
 of its axes in the attribute ``axes``.  Datasets are chunked, gzip + shuffle + fletcher32, and
 the metadata of library version 1.10 carries its own checksums: any changed byte that matters is
 found.  No times are written, so equal content is equal bytes.

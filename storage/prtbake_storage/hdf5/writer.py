@@ -1,5 +1,6 @@
 """Write a compressed asset."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
@@ -8,12 +9,14 @@ from numpy.typing import NDArray
 
 from prtbake_storage.decode.asset import Asset, Part, check_asset
 from prtbake_storage.decode.quantise import (
-    SHARED_AXES,
+    INT16_MAX,
+    Scales,
+    asset_scales,
+    bits_of,
     pack_tangents,
     pack_units,
-    quantise,
     quantise_asset,
-    quantise_weights,
+    round_part,
 )
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.basis import put_basis
@@ -21,6 +24,12 @@ from prtbake_storage.hdf5.resources import put_directions, put_mesh
 from prtbake_storage.hdf5.tables import put_surface
 
 F32 = NDArray[np.float32]
+I16 = NDArray[np.int16]
+
+INT8_MAX = 127
+OFFSET = 128
+"""Added to levels in int16 where they leave room: the upper byte of small ones is then 0, whatever
+their sign, and shuffle and gzip make nothing of it."""
 
 AXES = {
     "light_bases": "clusters coeffs light",
@@ -28,10 +37,17 @@ AXES = {
     "means": "clusters channel*coeff",
     "components": "clusters pcs channel*coeff",
     "view_texture": "height width view channels",
+    "weights": "verts ranks",
 }
 
 
-def write_asset(path: Path, asset: Asset, *, bits: int = 16) -> Asset:
+def write_asset(
+    path: Path,
+    asset: Asset,
+    *,
+    bits: int | Sequence[Scales] = 16,
+    errors: Sequence[float] | None = None,
+) -> Asset:
     """Write an asset and return it as every reader will see it.
 
     Parameters
@@ -41,7 +57,10 @@ def write_asset(path: Path, asset: Asset, *, bits: int = 16) -> Asset:
     asset
         Float32 factors; give the exact ones, not ones that were quantised before.
     bits
-        16 (int16 with scales) or 32 (float32, bit for bit).
+        16 or 8 (integers with scales that use them all), the scales of each part, or 32 (float32,
+        bit for bit).
+    errors
+        Squared-error ratio that rounding adds to each part, for the file to say.
 
     Returns
     -------
@@ -51,57 +70,67 @@ def write_asset(path: Path, asset: Asset, *, bits: int = 16) -> Asset:
     Raises
     ------
     ValueError
-        Naming the array that breaks a rule of `check_asset`.
+        Naming the array that breaks a rule of `check_asset`, or whose scale is too fine.
     """
     check_asset(asset)
-    seen = quantise_asset(asset, bits)
+    seen = quantise_asset(asset, bits, errors)
+    exact = isinstance(bits, int) and bits == 32
+    scales = [None] * len(asset.parts) if exact else asset_scales(asset, bits)
     with h5.new_file(path, "asset") as file:
-        h5.set_attribute(file, "bits", bits)
-        normals = pack_units(asset.normals) if bits == 16 else asset.normals
+        h5.set_attribute(file, "bits", 32 if exact else _most_bits(seen))
+        normals = asset.normals if exact else pack_units(asset.normals)
         put_mesh(file, asset.positions, asset.faces, normals, asset.uv)
         put_basis(file, asset.basis)
         parts = h5.group(file, "parts")
         for index, part in enumerate(asset.parts):
+            group = h5.group(parts, str(index))
+            if errors is not None and not exact:
+                h5.set_attribute(group, "quantisation_error", float(errors[index]))
             part_normals = asset.normals[slice(*part.vertex_range)]
-            _put_part(h5.group(parts, str(index)), part, part_normals, bits)
+            _put_part(group, part, part_normals, scales[index])
         h5.put_json(file, "provenance", dict(asset.provenance))
     return seen
 
 
-def _put_part(group: h5py.Group, part: Part, normals: F32, bits: int) -> None:
+def _most_bits(asset: Asset) -> int:
+    """Bits of the factor that has most of them."""
+    return max(max(part.precision.bits.values()) for part in asset.parts if part.precision)
+
+
+def _put_part(group: h5py.Group, part: Part, normals: F32, scales: Scales | None) -> None:
     put_surface(group, part)
     h5.set_attribute(group, "method", part.method)
     h5.put(group, "view_basis", part.view_basis, "terms view")
     clusters = h5.group(group, "clusters")
-    h5.put(clusters, "labels", part.labels, "verts")
+    h5.put(clusters, "labels", part.labels.astype(_smallest_type(part.n_clusters)), "verts")
     h5.put(clusters, "ranks", part.ranks, "clusters view_light_vert")
-    for name in ("light_bases", "dual_bases", "means", "components"):
-        _put_factor(clusters, name, getattr(part, name), bits)
-    _put_factor(group, "view_texture", part.view_texture, bits)
-    if bits == 16:
-        values, scale = quantise_weights(part.weights, part.labels, part.n_clusters)
-        _put_scaled(group, "weights", values, scale, "verts ranks", "clusters ranks")
-    else:
-        h5.put(group, "weights", part.weights, "verts ranks")
-    if part.frames is not None and bits == 16:
+    rounded = {} if scales is None else round_part(part, scales)
+    for name in AXES:
+        owner = group if name in ("view_texture", "weights") else clusters
+        array = getattr(part, name)
+        if scales is not None and name in rounded:
+            _put_levels(owner, name, rounded[name], scales[name])
+        elif array is not None:
+            h5.put(owner, name, array, AXES[name])
+    if part.frames is not None and scales is not None:
         put_directions(group, "tangents", pack_tangents(part.name, part.frames, normals))
     elif part.frames is not None:
         h5.put(group, "frames", part.frames, "verts axes xyz")
 
 
-def _put_factor(group: h5py.Group, name: str, array: F32 | None, bits: int) -> None:
-    if array is None:
-        return
-    if bits == 16:
-        packed = quantise(array, SHARED_AXES[name])
-        _put_scaled(group, name, packed.values, packed.scale, AXES[name], AXES[name])
-    else:
-        h5.put(group, name, array, AXES[name])
+def _smallest_type(n_labels: int) -> np.dtype[np.signedinteger]:
+    """Smallest signed integer type that holds 0 to ``n_labels`` - 1."""
+    return np.dtype(np.min_scalar_type(-n_labels))
 
 
-def _put_scaled(
-    group: h5py.Group, name: str, values: NDArray[np.int16], scale: F32, axes: str, scale_axes: str
-) -> None:
-    written = h5.put(group, name, values, axes)
+def _put_levels(group: h5py.Group, name: str, levels: I16, scale: F32) -> None:
+    """Write levels in the smallest type, beside their scale."""
+    peak = int(np.abs(levels.astype(np.int32)).max())
+    offset = OFFSET if INT8_MAX < peak <= INT16_MAX - OFFSET else 0
+    stored = levels.astype(np.int8) if peak <= INT8_MAX else levels + np.int16(offset)
+    written = h5.put(group, name, stored, AXES[name])
     h5.set_attribute(written, "scale", f"{name}_scale")
-    h5.put(group, f"{name}_scale", scale, scale_axes)
+    h5.set_attribute(written, "offset", offset)
+    h5.set_attribute(written, "bits", bits_of(levels))
+    axes = "clusters ranks" if name == "weights" else AXES[name]
+    h5.put(group, f"{name}_scale", scale, axes)

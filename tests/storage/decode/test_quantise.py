@@ -1,14 +1,22 @@
-"""Sixteen bits: half a step at most, exact in float32, small columns kept."""
+"""Rounded factors: half a step at most, exact in float32, small columns kept."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from prtbake_storage.decode.asset import Asset
 from prtbake_storage.decode.quantise import (
+    bits_of,
+    dequantised,
+    finest_scale,
+    levels,
     pack_tangents,
+    peak_scales,
     quantise,
     quantise_asset,
-    quantise_weights,
+    round_part,
+    scale_below,
     unpack_frames,
 )
 
@@ -44,12 +52,69 @@ def test_extremes_stay_finite(size: float) -> None:
     assert np.abs(back - array).max() <= max(2e-5 * size, 1e-31)
 
 
-def test_weights_take_the_scale_of_their_cluster(rng: np.random.Generator) -> None:
+def test_weights_take_the_scale_of_their_cluster(asset: Asset) -> None:
     labels = np.array([0, 0, 1, 1], np.int32)
     weights = np.array([[1.0, 0.1], [2.0, 0.2], [1e-4, 1e-5], [3e-4, 0.0]], np.float32)
-    values, scale = quantise_weights(weights, labels, 3)
+    part = replace(
+        asset.parts[1], vertex_range=(0, 4), labels=labels, weights=weights,
+        ranks=np.ones((3, 3), np.int32),
+    )  # fmt: skip
+    scale = peak_scales(part, 16)["weights"]
+    values = round_part(part, peak_scales(part, 16))["weights"]
     np.testing.assert_allclose(values * scale[labels], weights, rtol=1e-4)
+    np.testing.assert_array_equal(
+        dequantised("weights", values, scale, labels), values * scale[labels]
+    )
     assert (scale[2] == 0).all()
+
+
+@pytest.mark.parametrize("bits", [2, 5, 8, 12, 16])
+def test_every_number_of_bits_is_off_by_half_a_step(asset: Asset, bits: int) -> None:
+    part = asset.parts[0]
+    scales = peak_scales(part, bits)
+    for name, rounded in round_part(part, scales).items():
+        step = scales[name][part.labels] if name == "weights" else scales[name]
+        back = dequantised(name, rounded, scales[name], part.labels)
+        off = np.abs(back - getattr(part, name))
+        assert (off <= 0.50001 * step).all()
+        # and no finer than the bits are
+        assert (off / np.maximum(step, 1e-30)).max() > 0.4
+        assert bits_of(rounded) == bits
+
+
+def test_bits_count_the_sign() -> None:
+    given = {0: 1, 1: 2, -1: 2, 2: 3, 3: 3, 127: 8, -127: 8, 128: 9, 32767: 16, -32767: 16}
+    assert {value: bits_of(np.array([value], np.int16)) for value in given} == given
+
+
+def test_scales_next_to_a_step() -> None:
+    steps = np.geomspace(1e-30, 1e30, 400)
+    below, above = scale_below(steps), finest_scale(100.0 * steps, 100)
+    assert (below <= steps).all()
+    assert (above >= steps * (1 - 1e-7)).all()
+    # eight bits below the leading one
+    np.testing.assert_allclose(below, steps, rtol=2**-8)
+    np.testing.assert_allclose(above, steps, rtol=2**-8)
+    assert (scale_below(np.array([0.0, 1e-37])) == 0).all()
+
+
+def test_a_scale_that_is_too_fine_is_refused(asset: Asset) -> None:
+    array = np.array([1.0, -2.0], np.float32)
+    with pytest.raises(ValueError, match="a level of 2000000 does not fit 16 bits"):
+        levels(array, np.full(1, 1e-6, np.float32))
+    part = asset.parts[1]
+    scales = dict(peak_scales(part, 16))
+    scales["means"] = scales["means"] / 2
+    with pytest.raises(ValueError, match="receiver/means: a level of 6"):
+        round_part(part, scales)
+    del scales["means"]
+    with pytest.raises(ValueError, match="receiver: no scale for means"):
+        round_part(part, scales)
+
+
+def test_a_scale_of_zero_drops_its_column() -> None:
+    array = np.array([[5.0, 5.0]], np.float32)
+    np.testing.assert_array_equal(levels(array, np.array([[0.5, 0.0]], np.float32)), [[10, 0]])
 
 
 def test_frames_survive_as_tangents(asset: Asset) -> None:
@@ -65,7 +130,16 @@ def test_frames_survive_as_tangents(asset: Asset) -> None:
         pack_tangents("object", mirrored, normals)
 
 
-def test_only_16_and_32_bits(asset: Asset) -> None:
+def test_only_8_16_and_32_bits(asset: Asset) -> None:
     assert quantise_asset(asset, 32) is asset
-    with pytest.raises(ValueError, match="bits is 8"):
-        quantise_asset(asset, 8)
+    with pytest.raises(ValueError, match="bits is 12"):
+        quantise_asset(asset, 12)
+
+
+def test_an_asset_says_how_it_was_rounded(asset: Asset) -> None:
+    seen = quantise_asset(asset, 8, [0.25, 0.125])
+    for part, error in zip(seen.parts, (0.25, 0.125), strict=True):
+        assert part.precision is not None
+        assert set(part.precision.bits.values()) == {8}
+        assert part.precision.error == error
+    assert [part.precision for part in quantise_asset(seen, 32).parts] == [None, None]

@@ -1,4 +1,4 @@
-"""Job kind ``compress``: the factors of every part, then the asset in 32 and in 16 bits."""
+"""Job kind ``compress``: the factors of every part, then the asset with them exact and rounded."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.asset import Asset, Part
-from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.hdf5.writer import write_asset
@@ -22,6 +21,7 @@ from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.jobs.inputs import versions
+from prtbake_workers.jobs.rounding import options, write_rounded
 from prtbake_workers.planning.presets import resolve_compression
 
 _MODULE = "prtbake_workers.jobs.compress"
@@ -35,10 +35,12 @@ def stages(
     max_iterations: int,
     threads: int,
     seed: int,
+    rounding: dict[str, Any],
 ) -> list[Stage]:
     """Compress each part in a task of its own, then write the asset.
 
-    ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
+    ``plan_of`` gives the transfer's digest and each part's compression from earlier results,
+    ``rounding`` is that of `prtbake_workers.jobs.rounding.options`.
     """
 
     def parts(results: Results) -> list[Task]:
@@ -61,10 +63,12 @@ def stages(
 
     def assemble(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
-        settings = {"max_iterations": max_iterations, "threads": threads, "seed": seed}
+        settings = {"max_iterations": max_iterations, "threads": threads, "seed": seed} | rounding
         args = {
             "transfer": transfer,
             "factors": [result["factors"] for result in results["compress"]],
+            "left": [result["errors"][result["name"]] for result in results["compress"]],
+            "rounding": rounding,
             "compress": settings | {"parts": compressions},
         }
         return [Task(f"{_MODULE}:assemble", args)]
@@ -87,7 +91,11 @@ def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> l
         return transfer, [part["compression"] for part in parts]
 
     rest = stages(
-        plan_of, max_iterations=settings.max_iterations, threads=settings.threads, seed=seed
+        plan_of,
+        max_iterations=settings.max_iterations,
+        threads=settings.threads,
+        seed=seed,
+        rounding=options(settings),
     )
     return [Stage("plan", "plan", 1.0, outline), *rest]
 
@@ -202,7 +210,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: write ``asset.h5`` (16 bits) and ``asset-float32.h5``, and measure the difference."""
+    """Task: write ``asset.h5`` and, with exact factors, ``asset-float32.h5``."""
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:
         header = transfer.header
         parts: list[Part] = []
@@ -225,19 +233,16 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
         write_asset(exact_path, exact, bits=32)
-        delivered = write_asset(path, exact, bits=16)
-        for index, (before, after) in enumerate(zip(exact.parts, delivered.parts, strict=True)):
-            signal = transfer.energies(index).signal
-            areas = header.parts[index].areas
-            errors[before.name] = quantisation_error(before, after, areas, signal)
+        rounded = write_rounded(path, exact, transfer, args["rounding"], args["left"])
     size = path.stat().st_size
     return {
         "asset": context.store.put_file(path, move=True),
         "exact": context.store.put_file(exact_path, move=True),
         "bytes": size,
-        "groups": delivered.nbytes,
-        "errors": errors,
-        "notes": notes,
+        "groups": rounded.asset.nbytes,
+        "precision": [asdict(part.precision) for part in rounded.asset.parts if part.precision],
+        "errors": errors | rounded.errors,
+        "notes": notes + rounded.notes,
     }
 
 
@@ -283,16 +288,3 @@ def make_asset(
         provenance=dict(header.provenance)
         | {"transfer": source, "compress": compress | {"versions": versions()}},
     )
-
-
-def quantisation_error(before: Part, after: Part, areas: F64, signal: F64) -> float:
-    """Return the squared-error ratio that 16 bits add, against the signal that was baked."""
-    total = float(areas @ signal)
-    if total == 0.0:
-        return 0.0
-    error = 0.0
-    for start in range(0, before.n_vertices, READ_VERTS):
-        verts = slice(start, min(start + READ_VERTS, before.n_vertices))
-        difference = (reconstruct(before, verts) - reconstruct(after, verts)).astype(np.float64)
-        error += float(areas[verts] @ (difference**2).sum(axis=(1, 2)))
-    return error / total

@@ -21,6 +21,7 @@ from prtbake_workers.jobs import (
     register,
     render,
     report,
+    rounding,
     validate,
 )
 from prtbake_workers.planning.presets import StageSettings, resolve_stages
@@ -89,6 +90,7 @@ def _asset(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
             max_iterations=settings.compress.max_iterations,
             threads=settings.compress.threads,
             seed=parsed.seed,
+            rounding=rounding.options(settings.compress),
         ),
         *fit_light.stages(environment, settings.fit_light, parsed.seed),
         *render.stages(lit, settings.render),

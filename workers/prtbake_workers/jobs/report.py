@@ -52,6 +52,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
             }
             for part in results.get("compress", [])
         ],
+        "precision": results["quantise"][0]["precision"] if "quantise" in results else [],
         "asset_notes": results["quantise"][0]["notes"] if "quantise" in results else [],
         "views": [view for camera in results.get("validate", []) for view in camera["views"]],
         "previews": results["render"][0]["pictures"] if "render" in results else [],
@@ -133,7 +134,9 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
             for stage in args["stages"]
         ],
-        parts=part_accounts(plan["parts"], args["compressed"]) if args["compressed"] else [],
+        parts=part_accounts(plan["parts"], args["compressed"], args["precision"])
+        if args["compressed"]
+        else [],
         effects=plan["effects"],
         views=args["views"],
         sizes=args["sizes"],

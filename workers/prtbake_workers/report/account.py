@@ -20,9 +20,10 @@ ERRORS_ARE = {
     "light that scatters inside: weighted by area, over the transport with its bounces",
     "compress": "what clusters and ranks leave of the stored coefficients: weighted by area, over "
     "these coefficients",
-    "quantise": "of a part: what 16 bits change of the compressed coefficients, weighted by area, "
-    "over the transport as it was baked; of a view texture: what its lookup changes of the BRDF's "
-    "terms, over all pairs of directions with weight cos² cos², over these terms",
+    "quantise": "of a part: what rounding its factors changes of the compressed coefficients, "
+    "weighted by area, over the transport as it was baked; of a view texture's rounding: what it "
+    "changes of the radiance, over the same; of a view texture: what its lookup changes of the "
+    "BRDF's terms, over all pairs of directions with weight cos² cos², over these terms",
     "fit_light": "what the lobes leave of the environment, over the sphere, over the environment",
 }
 """Norm and denominator of each stage's own errors; all are ratios of squared radiance."""
@@ -67,11 +68,14 @@ def projection_errors(
 
 
 def part_accounts(
-    parts: Sequence[Mapping[str, Any]], compressed: Sequence[Mapping[str, Any]]
+    parts: Sequence[Mapping[str, Any]],
+    compressed: Sequence[Mapping[str, Any]],
+    precision: Sequence[Mapping[str, Any]] = (),
 ) -> list[dict[str, Any]]:
-    """Say of each part how it was compressed, and how far."""
+    """Say of each part how it was compressed, how far, and with how many bits it is held."""
     accounts = []
-    for part, factors in zip(parts, compressed, strict=True):
+    held = precision or [{"bits": {}, "error": None}] * len(parts)
+    for part, factors, rounded in zip(parts, compressed, held, strict=True):
         start, stop = part["vertex_range"]
         compression = part["compression"]
         cta = factors["method"] == "cta"
@@ -87,6 +91,8 @@ def part_accounts(
                 if cta
                 else str(compression["n_components"]),
                 "compression_ratio": factors["transfer_bytes"] / max(1, factors["factor_bytes"]),
+                "bits": dict(rounded["bits"]),
+                "quantisation_error": rounded["error"],
                 "objective": factors["objective"],
                 "notes": factors["notes"],
             }

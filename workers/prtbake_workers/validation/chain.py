@@ -1,7 +1,7 @@
 """The chain of pictures from the brute-force reference to the delivered asset.
 
 reference -> K terms -> BRDF tables -> vertex interpolation -> visibility sampling -> basis
--> 16-bit transfer -> light fit -> compression -> 16-bit factors
+-> 16-bit transfer -> light fit -> compression -> rounded factors
 
 With bounces, the pictures up to the basis all hold the same indirect light, pass by pass, of
 the path tracer; it cancels in their differences.  The stored transfer holds the bounces of the
@@ -33,7 +33,7 @@ from prtbake_workers.validation.sampled import (
 from prtbake_workers.validation.scene import ValidationScene
 from prtbake_workers.validation.shading import with_plain_terms
 
-MERGED_LINE = "compression and 16-bit factors"
+MERGED_LINE = "compression and rounded factors"
 """Where the asset before its quantisation is not at hand."""
 
 BASIS_LINES = {"srbf": "SRBF basis", "sh": "SH basis"}
@@ -65,8 +65,8 @@ MEANINGS = {
     "holds them",
     "light fit": "a sum of scattered lobes in place of the environment",
     "compression": "clusters and ranks in place of every vertex's own coefficients",
-    "16-bit factors": "factors as the asset file holds them",
-    MERGED_LINE: "clusters, ranks and 16 bits, as the asset file holds them",
+    "rounded factors": "factors as the asset file holds them",
+    MERGED_LINE: "clusters, ranks and rounding, as the asset file holds them",
 }
 """What each picture of the chain adds over the one before it."""
 
