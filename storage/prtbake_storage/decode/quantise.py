@@ -180,14 +180,10 @@ def quantise_asset(
         parts = tuple(replace(part, precision=None) for part in asset.parts)
         return replace(asset, parts=parts) if held else asset
     normals = unpack_units(pack_units(asset.normals))
+    stated: Sequence[float | None] = [None] * len(asset.parts) if errors is None else errors
     parts = tuple(
         _quantise_part(part, scales, asset.normals, normals, error)
-        for part, scales, error in zip(
-            asset.parts,
-            asset_scales(asset, bits),
-            errors or [None] * len(asset.parts),
-            strict=True,
-        )
+        for part, scales, error in zip(asset.parts, asset_scales(asset, bits), stated, strict=True)
     )
     return replace(asset, normals=normals, parts=parts)
 

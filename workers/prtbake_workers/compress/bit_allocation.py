@@ -13,6 +13,7 @@ what the model of rounding foresees.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def allocate_bits(part: Part, areas: Float64[F64, " verts"], bound: float) -> Al
 
 def measured(part: Part, scales: Scales, areas: Float64[F64, " verts"]) -> RoundingError:
     """Measure what rounding a part with these scales adds."""
-    factors = {
+    factors: dict[str, Any] = {
         name: dequantised(name, values, scales[name], part.labels)
         for name, values in round_part(part, scales).items()
     }

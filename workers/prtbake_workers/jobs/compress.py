@@ -269,6 +269,7 @@ def make_part(
         frames=None if part.frames is None else part.frames.astype(np.float32),
         factorisation=part.factorisation,
         n_channels=part.n_channels,
+        precision=None,
         **arrays,
     )
     return joined, error
