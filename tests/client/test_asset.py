@@ -142,6 +142,15 @@ def test_files_give_the_same(asset: Asset, light: LightFit, tmp_path: Path) -> N
         Asset.open(tmp_path / "light.h5")
 
 
+def test_an_asset_says_its_bits_and_error(asset: Asset, tmp_path: Path) -> None:
+    assert asset.precision == {"object": None}
+    write_asset(tmp_path / "asset.h5", asset.data, bits=8, errors=[1e-3])
+    stated = Asset.open(tmp_path / "asset.h5").precision["object"]
+    assert stated is not None
+    assert stated.error == 1e-3
+    assert stated.bits["weights"] == 8
+
+
 def test_what_a_light_costs_is_paid_once(asset: Asset, light: LightFit) -> None:
     lit = asset.relight(light)
     np.testing.assert_array_equal(

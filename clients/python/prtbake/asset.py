@@ -63,6 +63,11 @@ class Asset:
         return self.data.nbytes
 
     @property
+    def precision(self) -> dict[str, arrays.Precision | None]:
+        """Of each part by name, bits of its factors and the error of rounding; None if exact."""
+        return {part.name: part.precision for part in self.data.parts}
+
+    @property
     def provenance(self) -> Mapping[str, Any]:
         """Digests, settings, seeds and versions that the asset was made with."""
         return self.data.provenance
