@@ -91,7 +91,7 @@ def allocate_bits(part: Part, areas: Float64[F64, " verts"], bound: float) -> Al
 
     Notes
     -----
-    Deterministic, and the same on any number of threads.  Takes one to four measurements of the error.
+    The same on any number of threads.  The error is measured one to four times.
     """
     weights = number_weights(part, areas)
     steps_of = _Steps(part, weights)
