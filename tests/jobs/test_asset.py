@@ -378,8 +378,8 @@ def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
     assert compress["artefact_bytes"]["asset.h5"] == pytest.approx(quantised["bytes"], rel=0.5)
     assert compress["total_seconds"] == sum(compress["seconds"].values()) > 0
     assert compress["peak_memory_bytes"] > 250_000_000
-    with pytest.raises(SettingsError, match="clustered PCA"):
-        predict("compress", "transfer", settings={"method": "cpca"})
+    means = predict("compress", "transfer", settings={"method": "cpca"})
+    assert [part["compression"]["method"] for part in means["plan"]["parts"]] == ["cpca"] * 2
 
     longer = [predict("fit_light", settings={"n_lobes": n})["total_seconds"] for n in (10, 100)]
     assert longer[0] < longer[1]
@@ -429,7 +429,6 @@ def test_a_piece_that_was_inside_out_is_said_to_be_turned_outward(store):
     [
         ({"settings": {"bake": {"bandwidth": 0.5}}}, None),
         ({"settings": {"bake": {"bandwidth": 5e4}}}, "/settings/bake/bandwidth"),
-        ({"settings": {"compress": {"method": "cpca"}}}, "/settings/compress/method"),
         ({"albedo_texture": "sha256:" + "0" * 64}, "/albedo_texture"),
         ({"tangents": "uv"}, "/tangents"),
     ],

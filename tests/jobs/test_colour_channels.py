@@ -3,80 +3,23 @@
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.brdf import CookTorranceSpec, LambertSpec
 from prtbake_storage.contract.settings import CompressSettings
-from prtbake_storage.decode.quantise import quantise
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import relight
-from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.transfer import (
-    TransferHeader,
-    TransferPart,
-    join_transfer,
-    open_transfer,
-    write_transfer_tile,
-)
-from prtbake_workers.basis.srbf import default_bandwidth
-from prtbake_workers.brdf.factorise import factorise
-from prtbake_workers.brdf.registry import brdf_from_spec
-from prtbake_workers.geometry.frames import tangent_frames
-from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs.compress import standalone_stages
 from support.local_stages import run_stages
-from synthetic_transfer import equal_area_directions, synthetic_transfer
+from support.transfer_file import COEFFS, write_transfer
 
-VERTS = (300, 200)
-COEFFS = 162
 SETTINGS = CompressSettings(max_iterations=3, n_clusters=3, ranks=(5, 48, 32), n_components=24)
-
-
-def in_channels(transfer, rng):
-    """Falling channels with noise of their own, 2 % of the root mean square: row c * terms + k."""
-    size = 0.02 * np.sqrt(np.mean(transfer.astype(float) ** 2))
-    channels = [
-        factor * transfer + size * rng.standard_normal(transfer.shape)
-        for factor in (1.0, 0.5, 0.25)
-    ]
-    return np.concatenate(channels, axis=1).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
 def transfer(store, tmp_path_factory):
     """Digest of a transfer file: a glossy part of several terms and a diffuse one, both coloured."""
-    folder = tmp_path_factory.mktemp("coloured")
-    rng = np.random.default_rng(11)
-    brdfs = [CookTorranceSpec(m=0.5), LambertSpec(albedo=0.7)]
-    parts, tiles, start = [], [], 0
-    for name, spec, verts in zip(("object", "receiver"), brdfs, VERTS, strict=True):
-        model = factorise(brdf_from_spec(spec), n_terms=7, n_theta=12, n_phi=32)
-        rows = in_channels(synthetic_transfer(verts, model.n_terms, COEFFS), rng)
-        packed = quantise(rows, (2,))
-        tiles.append([folder / f"{name}.h5"])
-        write_transfer_tile(
-            tiles[-1][0], packed.values, scale=packed.scale[:, :, 0],
-            signal_energy=np.sum(rows.astype(float) ** 2, axis=(1, 2)),
-            residual_energy=np.zeros(verts),
-        )  # fmt: skip
-        parts.append(
-            TransferPart(
-                name=name, vertex_range=(start, start + verts), material=spec.model_dump(),
-                areas=rng.uniform(0.5, 2.0, verts), n_terms=model.n_terms, n_channels=3,
-                frames=None if model.is_constant_phi else tangent_frames(
-                    equal_area_directions(verts)
-                ),
-                albedo=model.albedo, factorisation=model.tables(),
-            )
-        )  # fmt: skip
-        start += verts
-    points = np.concatenate([equal_area_directions(verts) for verts in VERTS])
-    centres = icosphere(2)
-    header = TransferHeader(
-        positions=points, faces=np.array([[0, 1, 2], [300, 301, 302]], np.int32), normals=points,
-        uv=None, basis=WhitenedSrbfs(centres, default_bandwidth(COEFFS)), parts=tuple(parts),
-    )  # fmt: skip
-    join_transfer(folder / "transfer.h5", header, tiles)
-    return store.put_file(folder / "transfer.h5", move=False)
+    path = write_transfer(tmp_path_factory.mktemp("coloured"), n_channels=3)
+    return store.put_file(path, move=False)
 
 
 @pytest.fixture(scope="module")

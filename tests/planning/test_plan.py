@@ -42,11 +42,16 @@ def test_tiles_cover_every_vertex_once_in_whole_chunks(tile):
     assert all(start % CHUNK == 0 for start, _ in tiles)
 
 
-def test_clustered_pca_refuses_more_than_one_term():
-    settings = resolve_stages("medium", AssetSettings(compress={"method": "cpca"}))
-    with pytest.raises(SettingsError, match="one term, this part has 4") as caught:
-        plan_of(settings, 4)
-    assert caught.value.pointer == "/settings/compress/method"
+@pytest.mark.parametrize("method", ["vq", "pca", "cpca", "cta"])
+def test_a_part_of_several_terms_is_compressed_as_asked(method):
+    settings = resolve_stages("medium", AssetSettings(compress={"method": method}))
+    part = plan_of(settings, 4)[1].parts[0]
+    assert part.compression.method == method
+    assert part.cost.asset_bytes > 0
+    # negative twin: left open it is a tensor
+    assert plan_of(resolve_stages("medium", AssetSettings()), 4)[1].parts[0].compression.method == (
+        "cta"
+    )
 
 
 def test_predictions_grow_with_what_they_predict():

@@ -1,3 +1,5 @@
+import json
+from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +10,7 @@ from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Compr
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.planning.presets import (
     LADDER,
+    PartCompression,
     PlannedBake,
     resolve_compression,
     resolve_stages,
@@ -126,6 +129,43 @@ def test_components_are_cut_to_the_coefficients_of_all_channels():
     )
     # the view rank is that of each channel
     assert glossy.ranks == (3, 42, 24)
+    several = resolve_compression(
+        CompressSettings(method="cpca"), "medium", n_verts=900, n_terms=3, n_coeffs=4
+    )
+    assert several.n_components == 12
+
+
+def test_methods_keep_about_as_many_vectors():
+    """VQ a mean for every mean and component of clustered PCA; PCA 2.5 times a cluster's."""
+    size = {"n_verts": 34_834, "n_terms": 16, "n_coeffs": 642}
+
+    def found(method, **given):
+        settings = CompressSettings(method=method, **given)
+        return resolve_compression(settings, "medium", **size)
+
+    cpca, vq, pca = (found(method) for method in ("cpca", "vq", "pca"))
+    assert (cpca.n_clusters, cpca.n_components) == (97, 16)
+    assert (vq.n_clusters, vq.n_components) == (97 * 17, 0)
+    assert (pca.n_clusters, pca.n_components) == (1, 40)
+    # what is asked for is taken, and what a method has no use for left aside
+    given = {"n_clusters": 300, "n_components": 5}
+    assert (found("vq", **given).n_clusters, found("vq", **given).n_components) == (300, 0)
+    assert (found("pca", **given).n_clusters, found("pca", **given).n_components) == (1, 5)
+    large = resolve_compression(
+        CompressSettings(method="vq"), "reference", n_verts=400_000, n_terms=1, n_coeffs=2562
+    )
+    assert large.n_clusters == 4096
+    few = resolve_compression(
+        CompressSettings(method="vq"), "medium", n_verts=7, n_terms=2, n_coeffs=9
+    )
+    assert few.n_clusters == 7
+
+
+def test_a_compression_comes_back_from_json():
+    found = resolve_compression(
+        CompressSettings(), "draft", n_verts=900, n_terms=3, n_coeffs=42, n_channels=3
+    )
+    assert PartCompression.from_dict(json.loads(json.dumps(asdict(found)))) == found
 
 
 def test_ranks_and_clusters_are_cut_to_what_the_data_holds():

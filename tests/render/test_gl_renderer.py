@@ -15,6 +15,7 @@ from prtbake_workers.render.context import GlUnavailable, check_error, create_co
 from prtbake_workers.render.cpu_renderer import CpuRenderer
 from prtbake_workers.render.gl_renderer import GlRenderer
 from prtbake_workers.render.picture import Renderer
+from support.means import with_means
 
 pytestmark = pytest.mark.gl
 
@@ -116,6 +117,31 @@ def test_gl_agrees_with_the_numpy_decode_in_three_channels(
         GlRenderer(replace(coloured_scene, parts=(swapped, diffuse))) as gl,
         CpuRenderer(coloured_scene) as cpu,
     ):
+        gl.set_light(light)
+        cpu.set_light(light)
+        assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR
+
+
+@pytest.mark.parametrize("method", ["vq", "pca", "cpca"])
+def test_gl_agrees_with_the_numpy_decode_on_means_of_several_terms(
+    coloured_scene: Asset, light: np.ndarray, rng: np.random.Generator, method: str
+) -> None:
+    glossy, diffuse = coloured_scene.parts
+    part = with_means(glossy, method, coloured_scene.n_coeffs, rng)
+    own = replace(coloured_scene, parts=(part, diffuse))
+    check_asset(own)
+    view = view_of(own)
+    with GlRenderer(own) as gl, CpuRenderer(own) as cpu:
+        gl.set_light(light)
+        cpu.set_light(light)
+        interior, share = mismatch(gl, cpu, view)
+        assert interior < INTERIOR
+        assert share < SILHOUETTE_SHARE
+    # negative twin: the first two terms change places
+    assert part.means is not None
+    rows = part.means.reshape(part.n_clusters, 3, 3, -1)[:, :, [1, 0, 2]]
+    swapped = replace(own, parts=(replace(part, means=rows.reshape(part.means.shape)), diffuse))
+    with GlRenderer(swapped) as gl, CpuRenderer(own) as cpu:
         gl.set_light(light)
         cpu.set_light(light)
         assert mismatch(gl, cpu, view)[0] > 10 * INTERIOR

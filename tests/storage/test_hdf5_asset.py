@@ -12,6 +12,7 @@ from prtbake_storage.decode.quantise import peak_scales, quantise_asset
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.writer import write_asset
+from support.means import with_means
 
 
 def differences(a: object, b: object, where: str = "") -> list[str]:
@@ -150,6 +151,51 @@ def test_three_channels_come_back(coloured: Asset, tmp_path: Path, bits: int) ->
         write_asset(
             tmp_path / "b.h5", dataclasses.replace(coloured, parts=(coloured.parts[0], one))
         )
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+@pytest.mark.parametrize("method", ["vq", "pca", "cpca"])
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_means_of_several_terms_come_back(
+    asset: Asset, coloured: Asset, tmp_path: Path, bits: int, method: str, n_channels: int
+) -> None:
+    own = coloured if n_channels == 3 else asset
+    part = with_means(own.parts[0], method, own.n_coeffs, np.random.default_rng(5))
+    own = dataclasses.replace(own, parts=(part, own.parts[1]))
+    seen = write_asset(tmp_path / "a.h5", own, bits=bits)
+    back = read_asset(tmp_path / "a.h5")
+    assert differences(seen, back) == []
+    assert (differences(back, own) == []) == (bits == 32)
+    assert back.parts[0].method == method
+    # negative twin: other means are another file
+    other = dataclasses.replace(part, means=-part.means)
+    other = dataclasses.replace(own, parts=(other, own.parts[1]))
+    assert "/parts/0/means" in differences(write_asset(tmp_path / "b.h5", other, bits=bits), back)
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_what_vector_quantisation_does_not_have_costs_no_bytes(
+    asset: Asset, tmp_path: Path, bits: int
+) -> None:
+    held = {}
+    for method in ("vq", "cpca"):
+        part = with_means(asset.parts[0], method, asset.n_coeffs, np.random.default_rng(5))
+        path = tmp_path / f"{method}.h5"
+        write_asset(path, dataclasses.replace(asset, parts=(part, asset.parts[1])), bits=bits)
+        with h5py.File(path) as file:
+            held[method] = {*file["parts/0"], *file["parts/0/clusters"]}
+    lacking = {"weights", "components"}
+    if bits == 16:
+        lacking |= {"weights_scale", "components_scale"}
+    assert held["cpca"] - held["vq"] == lacking
+    with h5py.File(tmp_path / "vq.h5", "r+", libver=("v110", "v110")) as file:
+        file["parts/0"].attrs["method"] = np.bytes_(b"cpca")
+    with pytest.raises(CorruptArtefact, match="/parts/0/clusters/components is missing"):
+        read_asset(tmp_path / "vq.h5")
+    with h5py.File(tmp_path / "vq.h5", "r+", libver=("v110", "v110")) as file:
+        file["parts/0"].attrs["method"] = np.bytes_(b"svd")
+    with pytest.raises(CorruptArtefact, match="/parts/0: method is 'svd'"):
+        read_asset(tmp_path / "vq.h5")
 
 
 @pytest.mark.parametrize("bits", [16, 32])

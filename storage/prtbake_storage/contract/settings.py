@@ -14,6 +14,7 @@ Quality = Literal["draft", "low", "medium", "high", "reference"]
 Switch = Literal["auto", "on", "off"]
 Rank = Annotated[int, Field(ge=1, lt=2**31)]
 CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
+MOST_CLUSTERS = 4096  # of a part
 MOST_CENTRES = 10242
 
 FactorisationKind = Literal["svd", "sh"]
@@ -179,16 +180,21 @@ class BakeSettings(Wire):
 
 
 class CompressSettings(Wire):
-    """Compression; null leaves the choice to planning.  ``ranks`` are (view, light, vert)."""
+    """Compression; null leaves the choice to planning.  ``ranks`` are (view, light, vert).
 
-    method: Literal["auto", "cpca", "cta"] = "auto"
-    """Clustered PCA takes one term, clustered tensor approximation any."""
-    n_clusters: Annotated[int, Field(ge=1, le=4096)] | None = None
-    """Of each part; null goes by its vertices and the quality."""
+    Every ``method`` takes every part: vector quantisation (``vq``), PCA and clustered PCA compress
+    the terms and coefficients of a vertex as one signal, clustered tensor approximation (``cta``)
+    as a matrix.  Sizes that a method has no use for are left aside.
+    """
+
+    method: Literal["auto", "vq", "pca", "cpca", "cta"] = "auto"
+    """`auto` is clustered PCA for parts of one term, and tensors for others."""
+    n_clusters: Annotated[int, Field(ge=1, le=MOST_CLUSTERS)] | None = None
+    """Of each part, but for `pca`; null goes by its vertices and the quality."""
     ranks: tuple[Rank, Rank, Rank] | None = None
     """Of the tensor approximation: view, light, vertex."""
     n_components: Annotated[int, Field(ge=1, le=512)] | None = None
-    """Of clustered PCA, a cluster."""
+    """Of PCA; of clustered PCA, a cluster."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
     """Rounds of clustering at most."""
     bits: Literal[8, 16, "auto"] = "auto"

@@ -4,8 +4,12 @@ An asset is one mesh cut into parts.  Every part has a material and the factors 
 transfer tensor T (terms x coeffs x verts), whose light axis is that of an orthonormal basis
 (docs/theory, "The metric"): a vertex x of cluster c has
 
-    CTA   T_x = U_view  uf^-1(V_c^T w_x)  U_light,c^T                  [Tsai2006]_ eq. (18)
-    CPCA  T_x = mean_c + sum_p w_xp component_cp                       [Sloan2003]_ section 4
+    tensor factors  T_x = U_view  uf^-1(V_c^T w_x)  U_light,c^T          [Tsai2006]_ eq. (18)
+    means           T_x = U_view  (mean_c + sum_p w_xp component_cp)     [Sloan2003]_ section 4
+
+Clustered tensor approximation (CTA) makes the former; PCA, clustered PCA and, with no components,
+vector quantisation the latter, where U_view is the identity.  Decoders ask which factors there are,
+never which method made them.
 
 Light that coloured surfaces pass on to each other gives each colour a transfer of its own.  A part
 then has three channels of it, (3 * terms x coeffs x verts), channel by channel: row c * terms + k.
@@ -32,7 +36,17 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
-Method = Literal["cta", "cpca"]
+Method = Literal["vq", "pca", "cpca", "cta"]
+
+FACTORS: Mapping[Method, tuple[str, ...]] = {
+    "vq": ("means",),
+    "pca": ("means", "components", "weights"),
+    "cpca": ("means", "components", "weights"),
+    "cta": ("light_bases", "dual_bases", "weights"),
+}
+"""Method -> what it makes beside labels, ranks and the view basis.
+
+Components and weights of ``vq`` are arrays of no numbers, which no file holds."""
 
 Role = Literal["object", "receiver"]
 """What a part is in its scene: all or some of the object, or what that stands on."""
@@ -107,14 +121,13 @@ class Part(Surface):
     Parameters
     ----------
     method
-        ``cta`` uses ``view_basis``, ``light_bases``, ``dual_bases``; ``cpca`` uses ``means`` and
-        ``components`` and has ``R_view`` = 1.
+        How the factors were made; `FACTORS` says which they are.
     labels
         (verts,) cluster of each vertex of the part.
     weights
-        (verts, R) projected weights w_x, zero beyond the cluster's own rank.
+        (verts, R) projected weights w_x, zero beyond the cluster's own rank; R is 0 for ``vq``.
     view_basis
-        (terms, R_view) orthonormal columns; [[1]] for ``cpca``.
+        (terms, R_view) orthonormal columns; with means the identity.
     view_texture
         (res, res, R_view, channels) pre-filtered phi' = phi U_view on the hemi-octahedral map of
         ``view_map``; None where phi is the constant 1.
@@ -124,11 +137,12 @@ class Part(Surface):
         (clusters, R_vert, channels * R_view * R_light) V_c, with the channels of the transfer; a
         row unfolds to (channels, R_view, R_light), light last.
     means, components
-        (clusters, channels * coeffs) and (clusters, pcs, channels * coeffs), channel by channel.
+        (clusters, D) and (clusters, R, D) with D = channels * R_view * coeffs, unfolded from
+        (channels, R_view, coeffs), coeffs last.
     frames
         (verts, 3, 3) rows tangent, bitangent, normal; needed with a view texture.
     ranks
-        (clusters, 3) true (view, light, vert) ranks; for ``cpca`` (1, coeffs, components used).
+        (clusters, 3) true (view, light, vert) ranks; with means (terms, coeffs, components used).
     precision
         Bits of the factors and the error of rounding them; None where they were not rounded.
     """
@@ -291,24 +305,31 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
     _shape(f"{where}/clusters/ranks", part.ranks, (clusters, 3))
     _shape(f"{where}/clusters/labels", part.labels, (verts,))
     _indices(f"{where}/clusters/labels", part.labels, clusters)
+    lacking = [name for name in FACTORS[part.method] if getattr(part, name) is None]
+    if lacking:
+        raise ValueError(f"{where}: {part.method} needs {' and '.join(lacking)}")
+    if (part.means is None) == (part.light_bases is None):
+        raise ValueError(f"{where}: means and light_bases exclude each other")
     n_weights = part.weights.shape[-1]
-    _shape(f"{where}/weights", part.weights, (verts, n_weights))
+    if "weights" in FACTORS[part.method]:
+        _shape(f"{where}/weights", part.weights, (verts, n_weights))
+    elif n_weights:
+        raise ValueError(f"{where}/weights: {part.method} has none, not {n_weights} a vertex")
     _shape(f"{where}/view_basis", part.view_basis, (part.view_basis.shape[0], n_view))
-    if part.method == "cta":
-        if part.light_bases is None or part.dual_bases is None:
-            raise ValueError(f"{where}: cta needs light_bases and dual_bases")
+    if part.light_bases is not None and part.dual_bases is not None:
         n_light = part.light_bases.shape[-1]
         _shape(f"{where}/clusters/light_bases", part.light_bases, (clusters, n_coeffs, n_light))
         dual_shape = (clusters, n_weights, part.n_channels * n_view * n_light)
         _shape(f"{where}/clusters/dual_bases", part.dual_bases, dual_shape)
-    else:
-        if part.means is None or part.components is None:
-            raise ValueError(f"{where}: cpca needs means and components")
-        if n_view != 1:
-            raise ValueError(f"{where}/view_basis: cpca has one view column, not {n_view}")
-        dims = part.n_channels * n_coeffs
+    if part.means is not None:
+        dims = part.n_channels * n_view * n_coeffs
         _shape(f"{where}/clusters/means", part.means, (clusters, dims))
-        _shape(f"{where}/clusters/components", part.components, (clusters, n_weights, dims))
+        if part.components is None or part.components.shape != (clusters, n_weights, dims):
+            found = None if part.components is None else part.components.shape
+            raise ValueError(
+                f"{where}/clusters/components has shape {found}, not {(clusters, n_weights, dims)}"
+            )
+        _finite(f"{where}/clusters/components", part.components)
     if part.view_texture is not None:
         res, channels = part.view_texture.shape[0], part.view_texture.shape[-1]
         _shape(f"{where}/view_texture", part.view_texture, (res, res, n_view, channels))

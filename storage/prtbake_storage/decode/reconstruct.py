@@ -11,11 +11,11 @@ F32 = NDArray[np.float32]
 def reconstruct(part: Part, verts: slice) -> F32:
     """Return the whitened transfer (verts, channels * terms, coeffs) of some vertices of a part.
 
-    [Tsai2006]_ eq. (18) for ``cta``, mean plus weighted components for ``cpca``.
+    [Tsai2006]_ eq. (18) for tensor factors, mean plus weighted components otherwise.
     """
     labels, weights = part.labels[verts], part.weights[verts]
+    n_terms, n_view = part.view_basis.shape
     if part.light_bases is not None and part.dual_bases is not None:
-        n_terms, n_view = part.view_basis.shape
         n_coeffs, n_light = part.light_bases.shape[1:]
         transfer = np.zeros((len(labels), part.n_channels * n_terms, n_coeffs), np.float32)
         for cluster in np.unique(labels):
@@ -30,4 +30,6 @@ def reconstruct(part: Part, verts: slice) -> F32:
     for cluster in np.unique(labels):
         members = np.flatnonzero(labels == cluster)
         signal[members] += weights[members] @ part.components[cluster]
-    return signal.reshape(len(signal), part.n_channels, -1)
+    columns = signal.reshape(len(signal) * part.n_channels, n_view, -1)
+    terms = part.view_basis @ columns
+    return np.asarray(terms.reshape(len(signal), part.n_channels * n_terms, -1))

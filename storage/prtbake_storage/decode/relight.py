@@ -66,8 +66,8 @@ def cluster_matrices(part: Part, light: F64) -> F32:
     Returns
     -------
     ndarray
-        (clusters, R, R_view, 3): what one unit of each weight adds to each view column.  For
-        CPCA row 0 is the mean, whose weight is 1.
+        (clusters, R, R_view, 3): what one unit of each weight adds to each view column.  Where
+        there are means, row 0 is the mean, whose weight is 1.
     """
     channels, n_view = part.n_channels, part.n_view
     if part.light_bases is not None and part.dual_bases is not None:
@@ -80,7 +80,7 @@ def cluster_matrices(part: Part, light: F64) -> F32:
     elif part.means is not None and part.components is not None:
         rows = np.concatenate([part.means[:, None], part.components], axis=1).astype(np.float64)
         clusters, n_weights, _ = rows.shape
-        rows = rows.reshape(clusters, n_weights * channels, -1)
+        rows = rows.reshape(clusters, n_weights * channels * n_view, -1)
         folded = (rows @ light).reshape(clusters, n_weights, channels, n_view, 3)
     else:
         raise ValueError(f"part {part.name!r} holds no factors")
@@ -98,7 +98,7 @@ def vertex_radiance(part: Part, matrices: F32) -> F32:
         (verts, R_view, 3) radiance a view column, before phi' and albedo.
     """
     weights = part.weights
-    if part.method == "cpca":
+    if part.means is not None:
         weights = np.concatenate([np.ones((len(weights), 1), np.float32), weights], axis=1)
     flat = matrices.reshape(*matrices.shape[:2], -1)
     radiance = np.empty((len(weights), flat.shape[2]), np.float32)

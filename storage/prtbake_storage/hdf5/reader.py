@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import Asset, Part, Precision, check_asset
+from prtbake_storage.decode.asset import FACTORS, Asset, Part, Precision, check_asset
 from prtbake_storage.decode.quantise import (
     SHARED_AXES,
     bits_of,
@@ -68,7 +68,7 @@ def _normals(mesh: h5py.Group, n_vertices: int) -> F32:
 def _part(group: h5py.Group, normals: F32) -> Part:
     surface = get_surface(group)
     method = h5.attribute(group, "method")
-    if method not in ("cta", "cpca"):
+    if method not in FACTORS:
         raise CorruptArtefact(f"{group.name}: method is {method!r}")
     start, stop = surface["vertex_range"]
     verts = stop - start
@@ -79,14 +79,19 @@ def _part(group: h5py.Group, normals: F32) -> Part:
     labels = h5.get(clusters, "labels", "i", (verts,)).astype(np.int32)
     if labels.min() < 0 or labels.max() >= len(ranks):
         raise CorruptArtefact(f"{clusters.name}/labels leave [0, {len(ranks)})")
-    names = ("light_bases", "dual_bases") if method == "cta" else ("means", "components")
     bits: dict[str, int] = {}
     factors: dict[str, Any] = {
-        name: _factor(clusters, name, 2 if name == "means" else 3, labels, bits) for name in names
+        name: _factor(clusters, name, 2 if name == "means" else 3, labels, bits)
+        for name in FACTORS[method]
+        if name != "weights"
     }
     if h5.has(group, "view_texture"):
         factors["view_texture"] = _factor(group, "view_texture", 4, labels, bits)
-    weights = _factor(group, "weights", 2, labels, bits, len(ranks))
+    if "weights" in FACTORS[method]:
+        weights = _factor(group, "weights", 2, labels, bits, len(ranks))
+    else:
+        weights = np.zeros((verts, 0), np.float32)
+        factors["components"] = np.zeros((len(ranks), 0, factors["means"].shape[1]), np.float32)
     return Part(
         **surface,
         method=method,

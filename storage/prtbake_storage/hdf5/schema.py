@@ -17,6 +17,8 @@
         clusters/     labels ranks light_bases dual_bases means components
         weights       ...
 
+Which factors a part has goes by its ``method``, see `prtbake_storage.decode.asset.FACTORS`.
+
 Where ``n_channels`` is 3, transfer differs by colour.  An axis ``channel*term``, and its like in
 the factors, then runs through red, green and blue one after the other, as ``c * terms + k``.
 

@@ -110,7 +110,7 @@ def _put_part(group: h5py.Group, part: Part, normals: F32, scales: Scales | None
         array = getattr(part, name)
         if scales is not None and name in rounded:
             _put_levels(owner, name, rounded[name], scales[name])
-        elif array is not None:
+        elif array is not None and array.size:
             h5.put(owner, name, array, AXES[name])
     if part.frames is not None and scales is not None:
         put_directions(group, "tangents", pack_tangents(part.name, part.frames, normals))

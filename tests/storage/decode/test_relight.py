@@ -18,6 +18,7 @@ from prtbake_storage.decode.relight import (
 from prtbake_storage.decode.srbf import gaussian, whitening
 from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
+from support.means import with_means
 from support.quadrature import sphere_quadrature
 
 
@@ -175,6 +176,77 @@ def test_cpca_equals_mean_plus_components(asset: Asset, rng: np.random.Generator
     )
     expected = transfer @ light
     np.testing.assert_allclose(found[:, 0], expected, atol=3e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("method", ["vq", "pca", "cpca"])
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_means_of_several_terms_are_those_of_each_written_out(
+    asset: Asset, coloured: Asset, rng: np.random.Generator, method: str, n_channels: int
+) -> None:
+    own = coloured if n_channels == 3 else asset
+    part = with_means(own.parts[0], method, own.n_coeffs, rng)
+    check_asset(replace(own, parts=(part, own.parts[1])))
+    assert part.means is not None
+    assert part.components is not None
+    assert part.n_view == 3
+    signal = part.means[part.labels] + np.einsum(
+        "vp,vpd->vd", part.weights, part.components[part.labels]
+    )
+    expected = signal.reshape(part.n_vertices, n_channels * 3, own.n_coeffs)
+    found = reconstruct(part, slice(None))
+    # float32 sums of two products
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_array_equal(reconstruct(part, slice(7, 11)), found[7:11])
+    light = rng.normal(size=(own.n_coeffs, 3))
+    by_channel = np.broadcast_to(
+        expected.reshape(part.n_vertices, n_channels, 3, -1), (part.n_vertices, 3, 3, own.n_coeffs)
+    )
+    product = np.einsum("vckl,lc->vkc", by_channel, light)
+    lit = vertex_radiance(part, cluster_matrices(part, light))
+    atol = 3e-5 * np.abs(product).max()
+    np.testing.assert_allclose(lit, product, rtol=0, atol=atol)
+    # negative twin: coefficients before terms
+    turned = part.means.reshape(len(part.means), n_channels, 3, -1).swapaxes(2, 3)
+    other = replace(part, means=np.ascontiguousarray(turned).reshape(part.means.shape))
+    mixed = vertex_radiance(other, cluster_matrices(other, light))
+    assert np.abs(mixed - product).max() > 1e3 * atol
+
+
+def test_a_view_basis_mixes_the_view_columns_of_means(
+    asset: Asset, rng: np.random.Generator
+) -> None:
+    """Files with a basis of their own decode too: T = U_view (mean + components)."""
+    plain = with_means(asset.parts[0], "cpca", asset.n_coeffs, rng)
+    basis = np.linalg.qr(rng.normal(size=(6, 3)))[0].astype(np.float32)
+    part = replace(plain, view_basis=basis)
+    check_asset(replace(asset, parts=(part, asset.parts[1])))
+    expected = basis @ reconstruct(plain, slice(None))
+    np.testing.assert_allclose(reconstruct(part, slice(None)), expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"components": None}, "parts/0: cpca needs components"),
+        ({"method": "cta"}, "parts/0: cta needs light_bases and dual_bases"),
+        ({"method": "vq"}, "parts/0/weights: vq has none, not 2 a vertex"),
+        ({"light_bases": np.ones((4, 42, 2), np.float32)}, "exclude each other"),
+        ({"means": np.ones((4, 42), np.float32)}, r"means has shape \(4, 42\), not \(4, 126\)"),
+        ({"components": np.ones((4, 3, 126), np.float32)}, r"components has shape \(4, 3, 126\)"),
+        (
+            {"components": np.full((4, 2, 126), np.inf, np.float32)},
+            r"components is not finite at \(0, 0, 0\)",
+        ),
+    ],
+)
+def test_factors_that_do_not_belong_together_are_named(
+    asset: Asset, rng: np.random.Generator, changes: dict[str, object], message: str
+) -> None:
+    part = with_means(asset.parts[0], "cpca", asset.n_coeffs, rng)
+    check_asset(replace(asset, parts=(part, asset.parts[1])))
+    broken = replace(asset, parts=(replace(part, **changes), asset.parts[1]))
+    with pytest.raises(ValueError, match=message):
+        check_asset(broken)
 
 
 def in_equal_channels(part: Part) -> Part:

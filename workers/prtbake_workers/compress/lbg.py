@@ -1,12 +1,14 @@
-"""Vector quantisation: clusters of vertices whose signals lie near their cluster's mean.
+"""Clusters of vertices whose signals lie near their cluster's mean.
 
-The LBG iteration [Linde1980]_ as [Sloan2003]_ section 4.1 uses it, with seeds spread by squared
-distance and with empty clusters re-seeded by splitting ([Chen2005]_ section 3.1.2).  CPCA's
-clusters are these; CTA starts from them.
+The LBG iteration [Linde1980]_ as [Sloan2003]_ section 4.1 uses it, with empty clusters re-seeded by
+splitting ([Chen2005]_ section 3.1.2), from seeds that are spread by squared distance or that lie
+anywhere in the signal's box.  Vector quantisation and the clusters of CPCA are these; CTA starts
+from them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.clusters import (
     members_by_cluster,
     refill_empty_clusters,
+    squared_distances,
     weighted_mean,
 )
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
@@ -26,6 +29,31 @@ from prtbake_workers.compress.progress import Progress, no_progress
 SEED_VERTS_PER_CLUSTER = 24
 # Squared distances below this share of the two squared norms are float32 rounding: the same point.
 SAME_POINT = 1e-6
+
+Start = Literal["spread", "hyper_box"]
+
+
+@dataclass
+class Clustering:
+    """What an iteration changes in place.
+
+    Attributes
+    ----------
+    labels
+        Cluster of each vertex.
+    means
+        Mean signal of each cluster.
+    squared_distances
+        Squared distance of each vertex to its mean, without its weight.
+    """
+
+    labels: I32
+    means: F32
+    squared_distances: F64
+
+
+Improve = Callable[[F32, Clustering, F64], int]
+"""Takes signal, clustering and weights, lowers the objective, and tells how many clusters moved."""
 
 
 class LbgResult(NamedTuple):
@@ -57,6 +85,8 @@ def lbg(
     weights: Float64[F64, " verts"],
     max_iterations: int,
     tolerance: float = 1e-4,
+    start: Start = "spread",
+    improve: Improve | None = None,
     progress: Progress = no_progress,
 ) -> LbgResult:
     """Cluster the rows of ``signal`` by their distance to the clusters' means.
@@ -75,6 +105,12 @@ def lbg(
     max_iterations, tolerance
         Stop after so many iterations, when none moves, or when one wins less than this share of
         the objective.
+    start
+        ``spread``: seeds are vertices far from each other.  ``hyper_box``: points drawn evenly from
+        the box that holds the signal ([Chen2005]_ section 3.1.2); where one attracts no vertex, its
+        cluster is a part of another.
+    improve
+        Called once an iteration, when clusters have their members and their means.
     progress
         Called after each iteration.
 
@@ -84,13 +120,18 @@ def lbg(
     distance, taken as the difference itself, falls.  So rounding in the product moves nobody, and
     the objective never rises.
     """
-    means = _seed_means(signal, n_clusters, rng, weights)
-    state = _Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
+    if start == "hyper_box":
+        means = _means_in_box(signal, n_clusters, rng)
+    else:
+        means = _seed_means(signal, n_clusters, rng, weights)
+    state = Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
     trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
     for iteration in range(max_iterations):
         n_moved = _classify(signal, state)
         refill_empty_clusters(signal, state.labels, state.squared_distances, weights, n_clusters)
         _update_means(signal, state, weights)
+        if improve is not None:
+            n_moved += improve(signal, state, weights)
         trace.append(float(weights @ state.squared_distances))
         progress((iteration + 1) / max_iterations, f"clustering, error {trace.ratio:.3%}")
         if n_moved == 0 or trace.has_converged(tolerance):
@@ -98,11 +139,13 @@ def lbg(
     return LbgResult(state.labels, state.means, trace.values, state.squared_distances)
 
 
-@dataclass
-class _Clustering:
-    labels: I32
-    means: F32
-    squared_distances: F64
+def _means_in_box(
+    signal: Float32[F32, "verts dims"], n_clusters: int, rng: np.random.Generator
+) -> Float32[F32, "clusters dims"]:
+    """Draw points evenly from the smallest box that holds every row."""
+    lowest, highest = signal.min(axis=0), signal.max(axis=0)
+    share = rng.random((n_clusters, signal.shape[1]), dtype=np.float32)
+    return np.asarray(lowest + share * (highest - lowest), dtype=np.float32)
 
 
 def _seed_means(
@@ -144,7 +187,7 @@ def _seed_means(
     return signal[sample[chosen]]
 
 
-def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
+def _classify(signal: Float32[F32, "verts dims"], state: Clustering) -> int:
     """Move each vertex to its nearest mean; return how many moved."""
     offset = state.means.mean(axis=0, dtype=np.float64).astype(np.float32)
     centred = state.means - offset
@@ -167,7 +210,7 @@ def _classify(signal: Float32[F32, "verts dims"], state: _Clustering) -> int:
 
 
 def _update_means(
-    signal: Float32[F32, "verts dims"], state: _Clustering, weights: Float64[F64, " verts"]
+    signal: Float32[F32, "verts dims"], state: Clustering, weights: Float64[F64, " verts"]
 ) -> None:
     """Set every mean to that of its members, and the distances to match."""
     members_of = members_by_cluster(state.labels, len(state.means))
@@ -180,6 +223,6 @@ def _update_means(
         rows = signal[members]
         mean = weighted_mean(rows, weights[members])
         state.means[cluster] = mean
-        state.squared_distances[members] = row_energy(rows - mean)
+        state.squared_distances[members] = squared_distances(rows, mean)
 
     map_in_order(update, range(len(members_of)))

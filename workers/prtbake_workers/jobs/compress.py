@@ -18,11 +18,10 @@ from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32, F64
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
-from prtbake_workers.compress.cpca import compress_cpca
-from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.methods import Fit, compress
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.rounding import options, write_rounded
-from prtbake_workers.planning.presets import resolve_compression
+from prtbake_workers.planning.presets import PartCompression, resolve_compression
 
 _MODULE = "prtbake_workers.jobs.compress"
 READ_VERTS = 2048
@@ -152,52 +151,31 @@ def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
-    compression = args["compression"]
+    compression = PartCompression.from_dict(args["compression"])
     weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
 
     def progress(fraction: float, phase: str) -> None:
         context.progress(fraction, 1.0, phase)
 
-    arrays: dict[str, NDArray[Any]]
-    if compression["method"] == "cta":
-        cta = compress_cta(
-            coefficients,
-            compression["n_clusters"],
-            CtaRanks(*compression["ranks"]),
+    compressed = compress(
+        compression.method,
+        coefficients,
+        compression,
+        Fit(
             seed=args["seed"],
             max_iterations=args["max_iterations"],
-            progress=progress,
-            vertex_weights=weights,
             n_channels=part.n_channels,
-        )
-        arrays = {
-            name: getattr(cta, name)
-            for name in ("view_basis", "light_bases", "dual_bases", "weights", "labels", "ranks")
-        }
-        model: Any = cta
-    else:
-        cpca = compress_cpca(
-            coefficients.reshape(len(coefficients), -1),
-            compression["n_clusters"],
-            compression["n_components"],
-            method="static",
-            seed=args["seed"],
-            max_iterations=args["max_iterations"],
-            progress=progress,
             vertex_weights=weights,
-        )
-        ranks = np.ones((cpca.n_clusters, 3), np.int32)
-        ranks[:, 1], ranks[:, 2] = coefficients.shape[2], cpca.ranks
-        arrays = {
-            name: getattr(cpca, name) for name in ("means", "components", "weights", "labels")
-        } | {"ranks": ranks, "view_basis": np.ones((1, 1), np.float32)}
-        model = cpca
-    header = {"method": compression["method"]}
-    path = write_bundle(context.scratch / "factors.h5", arrays, header)
+            progress=progress,
+        ),
+    )
+    model = compressed.model
+    header = {"method": compression.method}
+    path = write_bundle(context.scratch / "factors.h5", compressed.factors, header)
     return {
         "factors": context.store.put_file(path, move=True),
         "name": part.name,
-        "method": compression["method"],
+        "method": compression.method,
         "clusters": int(model.n_clusters),
         "objective": [float(value) for value in model.objective],
         "initial_energy": float(model.initial_energy),

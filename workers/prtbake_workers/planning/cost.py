@@ -150,12 +150,17 @@ def part_cost(
         )
         memory = 4 * values + 8 * n_verts * rows * n_coeffs
     else:
-        rank = compression.n_components
+        # a vertex's matrix is one signal, of which a cluster keeps its mean and components
+        rank, dims = compression.n_components, n_channels * n_terms * n_coeffs
         classify = 2.0 * values * clusters
-        # the Gram matrix is that of a cluster's vertices, which channels do not add to
-        model = 2.0 * n_verts * n_channels * (n_terms * n_coeffs) ** 2 / iterations
-        floats = clusters * n_channels * n_terms * n_coeffs * (rank + 1) + n_verts * rank
-        memory = 12 * values
+        # once: the Gram matrix of the shorter side, a cluster's vertices or its dimensions
+        side = min(n_verts // clusters, dims) if rank else 0
+        model = 2.0 * values * side / iterations
+        floats = clusters * dims * (rank + 1) + n_verts * rank
+        # of the clusters being fitted: rows in float64 and what is left of them, and Gram matrices
+        fitted = min(2, clusters)
+        fitting = fitted * (20 * values // clusters + 24 * side**2) if rank else 0
+        memory = max(12 * values, 4 * values + fitting)
     return PartCost(
         bake_seconds=n_verts * bake_seconds_per_vertex(bake, n_terms=n_terms, shadows=shadows),
         compress_seconds=iterations * (classify + model) / (2 * FLOPS_PER_SECOND),

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from prtbake_storage.contract.settings import (
+    MOST_CLUSTERS,
     OWNERS,
     AssetSettings,
     BakeSettings,
@@ -83,6 +84,10 @@ class StageSettings:
 
 VIEW_LOSS = 2.0
 """Energy that view columns may leave of a BRDF, over what its terms may."""
+
+
+PCA_GROWTH = 2.5
+"""Components of PCA over those of a cluster's: 20 and 8 in [Sloan2003] figure 10."""
 
 
 @dataclass(frozen=True)
@@ -232,12 +237,17 @@ def _validation(fields: dict[str, Any]) -> ValidateSettings:
 
 @dataclass(frozen=True)
 class PartCompression:
-    """How one part is compressed."""
+    """How one part is compressed; each method reads the sizes that it has a use for."""
 
     method: str
     n_clusters: int
     ranks: tuple[int, int, int]
     n_components: int
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "PartCompression":
+        """Read back what the job's tasks are given as JSON."""
+        return cls(**data | {"ranks": tuple(data["ranks"])})
 
 
 def resolve_compression(
@@ -258,19 +268,21 @@ def resolve_compression(
     grows beyond the ladder's until it leaves `VIEW_LOSS` times what the terms may leave, and the
     other two by the square root of as much.
 
-    Raises
-    ------
-    SettingsError
-        Clustered PCA is asked for and the part has more than one term.
+    Vector quantisation keeps as many means as clustered PCA would keep means and components, and
+    PCA `PCA_GROWTH` times the components: pictures then cost about as much ([Sloan2003] figure 10).
     """
     step = LADDER[quality]
     method = settings.method if settings.method != "auto" else ("cpca" if n_terms == 1 else "cta")
-    if method == "cpca" and n_terms > 1:
-        raise SettingsError(
-            f"clustered PCA takes one term, this part has {n_terms}: use cta",
-            pointer="/settings/compress/method",
-        )
     n_clusters = settings.n_clusters or max(1, round(n_verts / step.verts_per_cluster))
+    n_components = settings.n_components or step.n_components
+    if method == "vq":
+        if settings.n_clusters is None:
+            n_clusters = min(n_clusters * (1 + n_components), MOST_CLUSTERS)
+        n_components = 0
+    elif method == "pca":
+        n_clusters = 1
+        if settings.n_components is None:
+            n_components = round(PCA_GROWTH * n_components)
     view, light, vert = settings.ranks or step.ranks
     if settings.ranks is None and singular_values is not None:
         view = view_rank(
@@ -287,5 +299,5 @@ def resolve_compression(
         method=method,
         n_clusters=min(n_clusters, n_verts),
         ranks=(min(view, n_terms), min(light, n_coeffs), vert),
-        n_components=min(settings.n_components or step.n_components, n_channels * n_coeffs),
+        n_components=min(n_components, n_channels * n_terms * n_coeffs),
     )

@@ -1,0 +1,232 @@
+"""Every compression by its name: transfer in, a model and the factors of an asset's part out.
+
+Vector quantisation and (clustered) PCA know signals, not tensors.  To them the matrix of a vertex,
+channels x terms x coefficients, is one long signal, as [Sloan2003]_ section 3 compresses glossy
+transfer.  Terms are orthonormal functions of the view, so the signal's squared error is that of the
+radiance.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.compress.cpca_model import CpcaModel
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.pca import compress_pca
+from prtbake_workers.compress.progress import Progress, no_progress
+from prtbake_workers.compress.vq import compress_vq
+
+
+@runtime_checkable
+class Model(Protocol):
+    """What every compression returns."""
+
+    @property
+    def labels(self) -> Int32[I32, " verts"]:
+        """Cluster of each vertex."""
+        ...
+
+    @property
+    def objective(self) -> list[float]:
+        """Weighted squared error after each step, never rising."""
+        ...
+
+    @property
+    def initial_energy(self) -> float:
+        """Squared norm of the input with the same weights."""
+        ...
+
+    @property
+    def squared_error_per_vertex(self) -> Float64[F64, " verts"]:
+        """Squared error of each vertex, without its weight."""
+        ...
+
+    @property
+    def iterations(self) -> int:
+        """Rounds that it took."""
+        ...
+
+    @property
+    def notes(self) -> list[str]:
+        """What was cut or left out, in words."""
+        ...
+
+    @property
+    def n_clusters(self) -> int:
+        """Clusters, none of them empty."""
+        ...
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the float32 factors."""
+        ...
+
+    @property
+    def squared_error_ratio(self) -> float:
+        """Squared error over squared norm, both weighted."""
+        ...
+
+    def reconstruct(self, verts: slice | None = None) -> F32:
+        """Return the approximated signal of ``verts``, or of every vertex."""
+        ...
+
+
+@runtime_checkable
+class Sizes(Protocol):
+    """How much a part's compression may keep; a method reads what it has a use for."""
+
+    @property
+    def n_clusters(self) -> int:
+        """Clusters."""
+        ...
+
+    @property
+    def ranks(self) -> tuple[int, int, int]:
+        """Of view, light and vertices."""
+        ...
+
+    @property
+    def n_components(self) -> int:
+        """Principal components of a cluster."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """How a part is fitted, whatever the method.
+
+    Attributes
+    ----------
+    seed
+        Of everything that is drawn.
+    max_iterations
+        Rounds of clustering at most.
+    n_channels
+        Colour channels that the rows hold one after the other.
+    vertex_weights
+        (verts,) weights in the squared error, e.g. areas; ones when None.
+    progress
+        Called with the fraction done and a word on the state.
+    """
+
+    seed: int
+    max_iterations: int
+    n_channels: int = 1
+    vertex_weights: NDArray[Any] | None = None
+    progress: Progress = no_progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compressed:
+    """A model, and its factors as `prtbake_storage.decode.asset.Part` names them."""
+
+    model: Model
+    factors: Mapping[str, NDArray[Any]] = field(repr=False)
+
+
+Compressor = Callable[[Float32[F32, "verts rows coeffs"], Sizes, Fit], Compressed]
+
+
+def compress(
+    method: str, coefficients: Float32[F32, "verts rows coeffs"], sizes: Sizes, fit: Fit
+) -> Compressed:
+    """Compress the transfer of one part.
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`.
+    coefficients
+        float32 transfer in an orthonormal basis of the light; row c * terms + k of a vertex is term
+        k of channel c, and terms are orthonormal functions of the view.
+    sizes, fit
+        What may be kept, and how it is found.
+
+    Raises
+    ------
+    SettingsError
+        For what the method cannot use, with the argument as pointer.
+    """
+    return METHODS[method](coefficients, sizes, fit)
+
+
+def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
+    model = compress_vq(
+        _signal(coefficients),
+        sizes.n_clusters,
+        start="spread",
+        method="elbg",
+        seed=fit.seed,
+        max_iterations=fit.max_iterations,
+        vertex_weights=fit.vertex_weights,
+        progress=fit.progress,
+    )
+    return _of_signal(model, coefficients, fit.n_channels)
+
+
+def _pca(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
+    model = compress_pca(
+        _signal(coefficients),
+        sizes.n_components,
+        seed=fit.seed,
+        vertex_weights=fit.vertex_weights,
+        progress=fit.progress,
+    )
+    return _of_signal(model, coefficients, fit.n_channels)
+
+
+def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
+    model = compress_cpca(
+        _signal(coefficients),
+        sizes.n_clusters,
+        sizes.n_components,
+        method="static",
+        seed=fit.seed,
+        max_iterations=fit.max_iterations,
+        vertex_weights=fit.vertex_weights,
+        progress=fit.progress,
+    )
+    return _of_signal(model, coefficients, fit.n_channels)
+
+
+def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
+    model = compress_cta(
+        coefficients,
+        sizes.n_clusters,
+        CtaRanks(*sizes.ranks),
+        seed=fit.seed,
+        max_iterations=fit.max_iterations,
+        vertex_weights=fit.vertex_weights,
+        n_channels=fit.n_channels,
+        progress=fit.progress,
+    )
+    names = ("labels", "weights", "ranks", "view_basis", "light_bases", "dual_bases")
+    return Compressed(model=model, factors={name: getattr(model, name) for name in names})
+
+
+METHODS: Mapping[str, Compressor] = {"vq": _vq, "pca": _pca, "cpca": _cpca, "cta": _cta}
+"""Vector quantisation, principal components, those of clusters, and tensors of clusters."""
+
+
+def _signal(coefficients: F32) -> F32:
+    """Return the matrix of each vertex as one row."""
+    return coefficients.reshape(len(coefficients), -1)
+
+
+def _of_signal(model: CpcaModel, coefficients: F32, n_channels: int) -> Compressed:
+    """Name the factors of a model of such signals: every term is a view column of its own."""
+    _, n_rows, n_coeffs = coefficients.shape
+    n_terms = n_rows // n_channels
+    ranks = np.empty((model.n_clusters, 3), np.int32)
+    ranks[:, 0], ranks[:, 1], ranks[:, 2] = n_terms, n_coeffs, model.ranks
+    names = ("labels", "weights", "means", "components")
+    factors = {name: getattr(model, name) for name in names}
+    return Compressed(
+        model=model,
+        factors=factors | {"ranks": ranks, "view_basis": np.eye(n_terms, dtype=np.float32)},
+    )
