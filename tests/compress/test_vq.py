@@ -49,7 +49,7 @@ def test_each_vertex_has_the_mean_of_its_cluster_and_the_nearest_of_all(diffuse,
 
 @every
 @anywhere
-@pytest.mark.parametrize(("n_clusters", "seed"), [(2, 0), (10, 1), (60, 2), (300, 3)])
+@pytest.mark.parametrize(("n_clusters", "seed"), [(2, 0), (10, 1), (100, 2)])
 def test_the_objective_never_rises(diffuse, method, start, n_clusters, seed):
     model = compress_vq(diffuse, n_clusters, start=start, method=method, seed=seed)
     assert model.iterations == len(model.objective)
@@ -74,7 +74,7 @@ def test_shifts_leave_local_minima_where_lbg_stays(rng):
 def test_elbg_errs_less_on_transfer(diffuse):
     errors = {
         method: np.mean(
-            [compress_vq(diffuse, 40, method=method, seed=seed).objective[-1] for seed in range(4)]
+            [compress_vq(diffuse, 20, method=method, seed=seed).objective[-1] for seed in range(3)]
         )
         for method in METHODS
     }
