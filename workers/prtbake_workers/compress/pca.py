@@ -1,13 +1,40 @@
-"""Principal component analysis of transfer: clustered PCA ([Sloan2003]_) with one cluster."""
+"""Principal component analysis of transfer: clustered PCA ([Sloan2003]_) with one cluster.
 
+All vertices are one matrix here, which a glossy part makes larger than memory should hold twice.
+So the Gram matrix of its shorter side is summed piece by piece, and no copy of the signal is made.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.compress.clusters import squared_distances, weighted_mean
 from prtbake_workers.compress.cpca_model import CpcaModel
+from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
+from prtbake_workers.compress.gram_eigh import (
+    RANK_TOLERANCE,
+    leading_eigenvectors,
+    orthonormal_rows,
+)
+from prtbake_workers.compress.inputs import (
+    checked_count,
+    checked_signal,
+    checked_vertex_weights,
+    clipped,
+)
+from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 from prtbake_workers.compress.progress import Progress, no_progress
+
+# Of the signal, in float64, while it is summed.
+PIECE_BYTES = 32 << 20
+# Of the Gram matrix, a task each: more would convert the same pieces more often.
+BANDS = 4
 
 
 def compress_pca(
@@ -37,19 +64,104 @@ def compress_pca(
     Returns
     -------
     CpcaModel
-        With one cluster.  The error is the least that so many components can have.
+        With one cluster.  The error is the least that so many components can have, the bytes are
+        the same on any number of threads.
 
     Raises
     ------
     SettingsError
         For what cannot be used, with the argument as pointer and the vertex in the message.
     """
-    return compress_cpca(
-        signal,
-        1,
-        n_components,
-        seed=seed,
-        max_iterations=1,
-        vertex_weights=vertex_weights,
-        progress=progress,
+    x = checked_signal(signal, "signal", ("verts", "dims"))
+    n_verts, n_dims = x.shape
+    weights = checked_vertex_weights(vertex_weights, n_verts)
+    notes: list[str] = []
+    n_components = clipped(
+        checked_count(n_components, "n_components"),
+        min(n_dims, n_verts),
+        "n_components",
+        f"{n_verts} vertices of {n_dims} dimensions span no more",
+        notes,
     )
+    with same_bytes_on_any_threads():
+        progress(0.0, "mean and covariance")
+        mean = weighted_mean(x, weights)
+        trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "PCA")
+        trace.append(float(weights @ squared_distances(x, mean)))
+        basis = _principal_rows(x, mean, np.sqrt(weights), n_components)
+        progress(0.9, "weights")
+        coefficients = np.zeros((n_verts, n_components), np.float32)
+        errors = np.empty(n_verts)
+
+        def project(chunk: slice) -> None:
+            centred = x[chunk] - mean
+            projected = centred @ basis.T
+            coefficients[chunk, : len(basis)] = projected
+            errors[chunk] = row_energy(centred - np.matmul(projected, basis, dtype=np.float32))
+
+        map_in_order(project, row_chunks(x))
+        trace.append(float(weights @ errors))
+    components = np.zeros((1, n_components, n_dims), np.float32)
+    components[0, : len(basis)] = basis
+    progress(1.0, f"error {trace.ratio:.3%}")
+    return CpcaModel(
+        means=mean[None],
+        components=components,
+        weights=coefficients,
+        labels=np.zeros(n_verts, np.int32),
+        ranks=np.array([len(basis)], np.int32),
+        objective=trace.values,
+        initial_energy=trace.squared_norm,
+        squared_error_per_vertex=errors,
+        iterations=1,
+        seed=seed,
+        notes=notes,
+    )
+
+
+def _principal_rows(
+    x: Float32[F32, "verts dims"],
+    mean: Float32[F32, " dims"],
+    root_weights: Float64[F64, " verts"],
+    rank: int,
+) -> Float32[F32, "kept dims"]:
+    """Return the leading right singular vectors of root_weights (x - mean), at its true rank."""
+    n_verts, n_dims = x.shape
+
+    def of_verts(piece: slice) -> F64:
+        return ((x[piece] - mean).astype(np.float64) * root_weights[piece, None]).T
+
+    def of_dims(piece: slice) -> F64:
+        return (x[:, piece] - mean[piece]).astype(np.float64) * root_weights[:, None]
+
+    tall = n_verts >= n_dims
+    length, size = (n_verts, n_dims) if tall else (n_dims, n_verts)
+    columns = of_verts if tall else of_dims
+    step = max(1, PIECE_BYTES // (8 * size))
+    pieces = [slice(start, min(start + step, length)) for start in range(0, length, step)]
+    values, vectors = leading_eigenvectors(_gram(columns, pieces, size), rank)
+    kept = int(np.count_nonzero(values > RANK_TOLERANCE * values.max(initial=0.0)))
+    values, basis = values[:kept], np.ascontiguousarray(vectors[:, :kept].T)
+    if not tall:
+        scaled = basis / np.sqrt(values)[:, None]
+        parts = [scaled @ columns(piece) for piece in pieces]
+        basis = orthonormal_rows(np.concatenate(parts, axis=1))
+    return basis.astype(np.float32)
+
+
+def _gram(
+    columns: Callable[[slice], F64], pieces: Sequence[slice], size: int
+) -> Float64[F64, "size size"]:
+    """Sum C C^T over the pieces C of a matrix, a band of its rows a task."""
+    gram = np.zeros((size, size))
+    # a band goes as far as the diagonal, which leaves each about the same
+    edges = (size * np.sqrt(np.linspace(0.0, 1.0, BANDS + 1))).astype(int).tolist()
+
+    def fill(band: slice) -> None:
+        for piece in pieces:
+            own = columns(piece)
+            gram[band, : band.stop] += own[band] @ own[: band.stop].T
+        gram[: band.start, band] = gram[band, : band.start].T
+
+    map_in_order(fill, [slice(a, b) for a, b in pairwise(edges)])
+    return gram

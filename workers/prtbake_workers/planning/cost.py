@@ -157,10 +157,12 @@ def part_cost(
         side = min(n_verts // clusters, dims) if rank else 0
         model = 2.0 * values * side / iterations
         floats = clusters * dims * (rank + 1) + n_verts * rank
-        # of the clusters being fitted: rows in float64 and what is left of them, and Gram matrices
-        fitted = min(2, clusters)
-        fitting = fitted * (20 * values // clusters + 24 * side**2) if rank else 0
-        memory = max(12 * values, 4 * values + fitting)
+        # of the clusters being fitted: rows in float64, what is left of them, and Gram matrices
+        fitted = min(2, clusters) if rank else 0
+        copied = max(8 * values, fitted * 20 * values // clusters)
+        if compression.method == "pca":
+            copied = 0  # one cluster of everything is summed piece by piece
+        memory = 4 * values + copied + fitted * 24 * side**2
     return PartCost(
         bake_seconds=n_verts * bake_seconds_per_vertex(bake, n_terms=n_terms, shadows=shadows),
         compress_seconds=iterations * (classify + model) / (2 * FLOPS_PER_SECOND),
