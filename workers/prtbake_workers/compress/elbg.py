@@ -76,9 +76,9 @@ class _Shifts:
         self.splits: dict[int, _Split | None] = {}
         # Distances between means only propose the neighbour: float32 products are enough.
         self.centre = state.means.mean(axis=0)
-        centred = state.means - self.centre
-        self.norms = row_energy(centred)
-        self.products: F32 = centred @ centred.T
+        self.centred: F32 = state.means - self.centre
+        self.norms = row_energy(self.centred)
+        self.products: F32 = self.centred @ self.centred.T
 
     def attempt(self, rng: np.random.Generator) -> int:
         """Go through the clusters, those that do least first."""
@@ -140,9 +140,9 @@ class _Shifts:
         for cluster in (near, low, high):
             self._renew(cluster, self.members[cluster])
         changed = [near, low, high]
-        centred = self.state.means - self.centre
-        self.norms[changed] = row_energy(centred[changed])
-        self.products[changed] = centred[changed] @ centred.T
+        self.centred[changed] = self.state.means[changed] - self.centre
+        self.norms[changed] = row_energy(self.centred[changed])
+        self.products[changed] = self.centred[changed] @ self.centred.T
         self.products[:, changed] = self.products[changed].T
 
     def _renew(self, cluster: int, verts: I32) -> None:
