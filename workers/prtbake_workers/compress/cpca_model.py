@@ -36,6 +36,8 @@ class CpcaModel:
         Clustering iterations, and the seed they started from.
     notes
         What was cut or left out, in words.
+    trimmed
+        Squared error, weighted, that columns held which were left out after the last step.
     """
 
     means: Float32[F32, "clusters dims"]
@@ -49,6 +51,7 @@ class CpcaModel:
     iterations: int
     seed: int
     notes: list[str] = field(default_factory=list)
+    trimmed: float = 0.0
 
     @property
     def n_clusters(self) -> int:
@@ -57,13 +60,16 @@ class CpcaModel:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the float32 factors as they are held."""
-        return self.means.nbytes + self.components.nbytes + self.weights.nbytes
+        """Bytes of the float32 means, components and weights, without what only pads the arrays."""
+        sizes = np.bincount(self.labels, minlength=self.n_clusters)
+        return 4 * (self.means.size + int(self.ranks @ (sizes + self.means.shape[1])))
 
     @property
     def squared_error_ratio(self) -> float:
         """Squared error over squared norm, both weighted; 0 for a signal of zeros."""
-        return self.objective[-1] / self.initial_energy if self.initial_energy > 0.0 else 0.0
+        if self.initial_energy <= 0.0:
+            return 0.0
+        return (self.objective[-1] + self.trimmed) / self.initial_energy
 
     def reconstruct(self, verts: slice | None = None) -> Float32[F32, "part_verts dims"]:
         """Return the approximated signal of ``verts``, or of every vertex."""

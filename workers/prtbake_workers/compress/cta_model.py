@@ -51,6 +51,8 @@ class CtaModel:
         Channels of the tensor: row c * terms + k of a vertex is term k of channel c.
     notes
         What was cut or left out, in words.
+    trimmed
+        Squared error, weighted, that columns held which were left out after the last step.
     """
 
     view_basis: Float32[F32, "terms r_view"]
@@ -66,6 +68,7 @@ class CtaModel:
     seed: int
     n_channels: int = 1
     notes: list[str] = field(default_factory=list)
+    trimmed: float = 0.0
 
     @property
     def n_clusters(self) -> int:
@@ -74,14 +77,19 @@ class CtaModel:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the float32 factors as they are held."""
-        factors = (self.view_basis, self.light_bases, self.dual_bases, self.weights)
-        return sum(factor.nbytes for factor in factors)
+        """Bytes of the float32 factors, without what only pads the arrays."""
+        sizes = np.bincount(self.labels, minlength=self.n_clusters)
+        _, light, vert = self.ranks.T.astype(np.int64)
+        rows = self.n_channels * self.view_basis.shape[1] * light + sizes
+        floats = self.light_bases.shape[1] * light + rows * vert
+        return 4 * (self.view_basis.size + int(floats.sum()))
 
     @property
     def squared_error_ratio(self) -> float:
         """Squared error over squared norm, both weighted; 0 for a tensor of zeros."""
-        return self.objective[-1] / self.initial_energy if self.initial_energy > 0.0 else 0.0
+        if self.initial_energy <= 0.0:
+            return 0.0
+        return (self.objective[-1] + self.trimmed) / self.initial_energy
 
     def reconstruct(self, verts: slice | None = None) -> Float32[F32, "part_verts rows coeffs"]:
         """Return the approximated transfer of ``verts``, or of every vertex."""

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cpca_model import CpcaModel
-from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.cta import compress_cta
+from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.pca import compress_pca
 from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.vq import compress_vq
@@ -125,11 +126,11 @@ class Fit:
 class Compressed:
     """A model, and its factors as `prtbake_storage.decode.asset.Part` names them."""
 
-    model: Model
+    model: CpcaModel | CtaModel
     factors: Mapping[str, NDArray[Any]] = field(repr=False)
 
 
-Compressor = Callable[[Float32[F32, "verts rows coeffs"], Sizes, Fit], Compressed]
+Compressor = Callable[[Float32[F32, "verts rows coeffs"], Sizes, Fit], CpcaModel | CtaModel]
 
 
 def compress(
@@ -152,11 +153,12 @@ def compress(
     SettingsError
         For what the method cannot use, with the argument as pointer.
     """
-    return METHODS[method](coefficients, sizes, fit)
+    model = METHODS[method](coefficients, sizes, fit)
+    return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
 
 
-def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
-    model = compress_vq(
+def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+    return compress_vq(
         _signal(coefficients),
         sizes.n_clusters,
         start="spread",
@@ -166,22 +168,20 @@ def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
         vertex_weights=fit.vertex_weights,
         progress=fit.progress,
     )
-    return _of_signal(model, coefficients, fit.n_channels)
 
 
-def _pca(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
-    model = compress_pca(
+def _pca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+    return compress_pca(
         _signal(coefficients),
         sizes.n_components,
         seed=fit.seed,
         vertex_weights=fit.vertex_weights,
         progress=fit.progress,
     )
-    return _of_signal(model, coefficients, fit.n_channels)
 
 
-def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
-    model = compress_cpca(
+def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+    return compress_cpca(
         _signal(coefficients),
         sizes.n_clusters,
         sizes.n_components,
@@ -191,11 +191,10 @@ def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
         vertex_weights=fit.vertex_weights,
         progress=fit.progress,
     )
-    return _of_signal(model, coefficients, fit.n_channels)
 
 
-def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
-    model = compress_cta(
+def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> CtaModel:
+    return compress_cta(
         coefficients,
         sizes.n_clusters,
         CtaRanks(*sizes.ranks),
@@ -205,8 +204,6 @@ def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> Compressed:
         n_channels=fit.n_channels,
         progress=fit.progress,
     )
-    names = ("labels", "weights", "ranks", "view_basis", "light_bases", "dual_bases")
-    return Compressed(model=model, factors={name: getattr(model, name) for name in names})
 
 
 METHODS: Mapping[str, Compressor] = {"vq": _vq, "pca": _pca, "cpca": _cpca, "cta": _cta}
@@ -218,15 +215,19 @@ def _signal(coefficients: F32) -> F32:
     return coefficients.reshape(len(coefficients), -1)
 
 
-def _of_signal(model: CpcaModel, coefficients: F32, n_channels: int) -> Compressed:
-    """Name the factors of a model of such signals: every term is a view column of its own."""
-    _, n_rows, n_coeffs = coefficients.shape
+def factors_of(
+    model: CpcaModel | CtaModel, shape: tuple[int, ...], n_channels: int
+) -> dict[str, NDArray[Any]]:
+    """Name the factors of a model of (verts, rows, coeffs) transfer.
+
+    To a model of signals every term is a view column of its own.
+    """
+    if isinstance(model, CtaModel):
+        names = ("labels", "weights", "ranks", "view_basis", "light_bases", "dual_bases")
+        return {name: getattr(model, name) for name in names}
+    _, n_rows, n_coeffs = shape
     n_terms = n_rows // n_channels
     ranks = np.empty((model.n_clusters, 3), np.int32)
     ranks[:, 0], ranks[:, 1], ranks[:, 2] = n_terms, n_coeffs, model.ranks
-    names = ("labels", "weights", "means", "components")
-    factors = {name: getattr(model, name) for name in names}
-    return Compressed(
-        model=model,
-        factors=factors | {"ranks": ranks, "view_basis": np.eye(n_terms, dtype=np.float32)},
-    )
+    factors = {name: getattr(model, name) for name in ("labels", "weights", "means", "components")}
+    return factors | {"ranks": ranks, "view_basis": np.eye(n_terms, dtype=np.float32)}

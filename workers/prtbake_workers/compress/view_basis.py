@@ -20,6 +20,17 @@ def initial_view_basis(
     transfer: Transfer, weights: Float64[F64, " verts"], rank: int
 ) -> Float32[F32, "terms r_view"]:
     """Return the leading left singular vectors of the mode-1 unfolding ([Tsai2006]_ 5.2.2)."""
+    return leading_eigenvectors(_view_gram(transfer, weights), rank)[1].astype(np.float32)
+
+
+def view_energies(transfer: Transfer, weights: Float64[F64, " verts"]) -> Float64[F64, " terms"]:
+    """Return the squared singular values of the mode-1 unfolding, falling: the view's spectrum."""
+    energies = np.linalg.eigvalsh(_view_gram(transfer, weights))[::-1]
+    return np.asarray(np.maximum(energies, 0.0))
+
+
+def _view_gram(transfer: Transfer, weights: Float64[F64, " verts"]) -> Float64[F64, "terms terms"]:
+    """Sum T_x T_x^T over the vertices in float64."""
     n_terms = transfer.shape[1]
 
     def gram_of(chunk: slice) -> F64:
@@ -29,8 +40,7 @@ def initial_view_basis(
         return np.asarray(weighted.reshape(n_terms, n_terms))
 
     chunks = row_chunks(transfer.reshape(len(transfer), -1))
-    gram = sum(map_in_order(gram_of, chunks), np.zeros((n_terms, n_terms)))
-    return leading_eigenvectors(gram, rank)[1].astype(np.float32)
+    return np.asarray(sum(map_in_order(gram_of, chunks), np.zeros((n_terms, n_terms))))
 
 
 def updated_view_basis(

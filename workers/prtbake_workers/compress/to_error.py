@@ -1,0 +1,202 @@
+"""Compress to an error that is asked for: find sizes that do, then leave out what they have over.
+
+Sizes are searched with few iterations, along one scale: the error of a compression falls about as a
+power of it.  Sizes that come out below the target are fitted in full, and what they are below it is
+given back in columns (`prtbake_workers.compress.trim`), so that the error ends just under the
+target whatever the search's steps were.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import exp, log
+
+import numpy as np
+
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F32, Float32
+from prtbake_workers.compress.inputs import checked_vertex_weights
+from prtbake_workers.compress.methods import Compressed, Fit, Sizes, compress, factors_of
+from prtbake_workers.compress.trim import trimmed
+from prtbake_workers.compress.view_basis import view_energies
+
+MOST_TRIALS = 10
+"""Fits that look for sizes; a target that they do not meet is refused."""
+
+TRIAL_ITERATIONS = 2
+"""Of a trial's clustering: later ones win some per cent of the error."""
+
+VIEW_SHARE = 0.15
+"""Of the target, that the view basis of a tensor may leave."""
+
+AIM = 0.75
+"""Of the target, at which a trial aims where columns can be left out afterwards."""
+
+NARROW_AIM = 0.95
+"""Of the target, at which it aims where they cannot."""
+
+ENOUGH = (0.5, 0.9)
+"""Shares of the target between which a trial ends the search, where columns can be left out."""
+
+NARROWLY_ENOUGH = (0.9, 1.0)
+"""The same where they cannot."""
+
+FALL = 2.0
+"""Power of the scale by which errors fall, until two trials tell."""
+
+STEEPEST, FLATTEST = 8.0, 0.25
+"""Between which a measured power is believed."""
+
+LARGEST_STEP = 4.0
+"""Of the scale, up or down, from one trial to the next."""
+
+MARGIN = 1e-5
+"""Of the target, kept for rounding: errors are sums of float32 energies."""
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Sizes of one trial, as `Sizes` has them."""
+
+    n_clusters: int
+    ranks: tuple[int, int, int]
+    n_components: int
+
+
+def compress_to_error(
+    method: str,
+    coefficients: Float32[F32, "verts rows coeffs"],
+    sizes: Sizes,
+    fit: Fit,
+    target: float,
+) -> Compressed:
+    """Compress the transfer of one part to a squared-error ratio just below a target.
+
+    Parameters
+    ----------
+    method, coefficients, fit
+        As `prtbake_workers.compress.methods.compress` takes them.
+    sizes
+        To start from.  Clustered methods keep their clusters and scale their ranks or components;
+        vector quantisation scales its clusters.
+    target
+        Squared-error ratio, weighted, in (0, 1).
+
+    Returns
+    -------
+    Compressed
+        At most at the target.  Vector quantisation, whose clusters are few and whole, ends near it;
+        the others end within a column of it.
+
+    Raises
+    ------
+    SettingsError
+        The target is out of range, or no sizes that were tried meet it; the message tells the best.
+    """
+    if not 0.0 < target < 1.0:
+        raise SettingsError(
+            f"an error of {target} cannot be aimed at: it lies above 0 and below 1",
+            pointer="/max_error",
+        )
+    start = replace(
+        Scaled(sizes.n_clusters, sizes.ranks, sizes.n_components),
+        ranks=_view_first(coefficients, sizes.ranks, fit, target)
+        if method == "cta"
+        else sizes.ranks,
+    )
+    lowest, highest = NARROWLY_ENOUGH if method == "vq" else ENOUGH
+    best = np.inf
+    tried: list[tuple[Scaled, float]] = []
+    for scaled in _search(method, start, coefficients.shape, target, tried):
+        quick = replace(fit, max_iterations=min(fit.max_iterations, TRIAL_ITERATIONS))
+        # a trial of vector quantisation is as quick with all of its iterations
+        found = compress(method, coefficients, scaled, fit if method == "vq" else quick)
+        ratio = found.model.squared_error_ratio
+        tried.append((scaled, ratio))
+        best = min(best, ratio)
+        if lowest * target <= ratio <= highest * target:
+            break
+    meeting = [(ratio, scaled) for scaled, ratio in tried if ratio <= target]
+    if not meeting:
+        raise SettingsError(
+            f"a squared error of {target:.3g} cannot be met by {method}: the best of {len(tried)} "
+            f"trials leaves {best:.3g}; take another method, more clusters or a larger error",
+            pointer="/max_error",
+        )
+    ratio, scaled = max(meeting, key=lambda one: one[0])
+    found = compress(method, coefficients, scaled, fit)
+    if method == "vq":
+        return found
+    weights = checked_vertex_weights(fit.vertex_weights, len(coefficients))
+    model = trimmed(found.model, target * (1.0 - MARGIN), weights)
+    return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
+
+
+def _view_first(
+    coefficients: F32, ranks: tuple[int, int, int], fit: Fit, target: float
+) -> tuple[int, int, int]:
+    """Choose the view rank by what it leaves; the others start from the ladder's."""
+    n_verts, n_rows, n_coeffs = coefficients.shape
+    weights = np.repeat(checked_vertex_weights(fit.vertex_weights, n_verts), fit.n_channels)
+    terms = coefficients.reshape(n_verts * fit.n_channels, n_rows // fit.n_channels, n_coeffs)
+    energies = view_energies(terms, weights)
+    left = energies.sum() - np.cumsum(energies)
+    view = int(np.argmax(left <= VIEW_SHARE * target * energies.sum())) + 1
+    return view, ranks[1], ranks[2]
+
+
+def _search(
+    method: str,
+    start: Scaled,
+    shape: tuple[int, ...],
+    target: float,
+    tried: list[tuple[Scaled, float]],
+) -> Iterator[Scaled]:
+    """Yield sizes to try, each by the errors of those before; end where no others are left."""
+    aim = target * (NARROW_AIM if method == "vq" else AIM)
+    scale, seen = 1.0, set[Scaled]()
+    points: list[tuple[float, float]] = []
+    for _ in range(MOST_TRIALS):
+        sizes = _at(scale, start, method, shape)
+        if sizes in seen:
+            return
+        seen.add(sizes)
+        yield sizes
+        points.append((log(scale), log(max(tried[-1][1], 1e-300))))
+        scale = exp(_next(points, log(aim)))
+
+
+def _next(points: list[tuple[float, float]], aim: float) -> float:
+    """Return the logarithm of the next scale: between bracketing trials, else along the power."""
+    under = [point for point in points if point[1] <= aim]
+    over = [point for point in points if point[1] > aim]
+    at, error = points[-1]
+    if under and over:
+        (a, above), (b, below) = max(over), min(under)
+        if a < b:
+            # bisection where the chord would stay at one end: errors fall in steps of whole ranks
+            share = min(0.8, max(0.2, (above - aim) / max(above - below, 1e-12)))
+            return a + share * (b - a)
+    power = FALL
+    if len(points) > 1:
+        (x, y), (u, v) = points[-2:]
+        if u != x:
+            power = min(STEEPEST, max(FLATTEST, -(v - y) / (u - x)))
+    step = (error - aim) / power
+    most = log(LARGEST_STEP)
+    return at + min(most, max(-most, step))
+
+
+def _at(scale: float, start: Scaled, method: str, shape: tuple[int, ...]) -> Scaled:
+    """Scale what the method has; cut to what the data can hold."""
+    n_verts, n_rows, n_coeffs = shape
+
+    def of(size: int, most: int) -> int:
+        return max(1, min(most, round(size * scale)))
+
+    if method == "vq":
+        return replace(start, n_clusters=of(start.n_clusters, n_verts))
+    if method == "cta":
+        view, light, vert = start.ranks
+        span = min(n_verts, n_rows * n_coeffs)
+        return replace(start, ranks=(view, of(light, n_coeffs), of(vert, span)))
+    return replace(start, n_components=of(start.n_components, min(n_verts, n_rows * n_coeffs)))
