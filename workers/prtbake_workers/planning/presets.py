@@ -295,9 +295,11 @@ def resolve_compression(
         # what is sharp in view is sharp in light and differs between vertices too
         growth = float(np.sqrt(view / step.ranks[0]))
         light, vert = round(light * growth), round(vert * growth)
+    view = min(view, n_terms)
     return PartCompression(
         method=method,
         n_clusters=min(n_clusters, n_verts),
-        ranks=(min(view, n_terms), min(light, n_coeffs), vert),
+        # a vertex mixes vert matrices of so many rows: together they span no more
+        ranks=(view, min(light, n_coeffs, n_channels * view * vert), vert),
         n_components=min(n_components, n_channels * n_terms * n_coeffs),
     )
