@@ -202,6 +202,9 @@ class CompressSettings(Wire):
     max_quantisation_error: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
     """Of `auto`: what rounding may add to a part, squared, relative to its transfer; null is a
     hundredth of what compression leaves."""
+    max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    """Squared, relative to a part's transfer, rounding included: sizes are searched that end just
+    below it.  Takes the place of `ranks`, `n_components` and `max_quantisation_error`."""
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     """Of a task."""
 
@@ -212,6 +215,19 @@ class CompressSettings(Wire):
         if bound is not None and info.data.get("bits", "auto") != "auto":
             raise ValueError("max_quantisation_error goes with bits 'auto', not with a number")
         return bound
+
+    @field_validator("max_error")
+    @classmethod
+    def _alone(cls, asked: float | None, info: ValidationInfo) -> float | None:
+        """Refuse an error beside what would decide it."""
+        if asked is None:
+            return asked
+        for name in ("ranks", "n_components", "max_quantisation_error"):
+            if info.data.get(name) is not None:
+                raise ValueError(f"max_error chooses {name}: give one of them")
+        if info.data.get("bits") == 8:
+            raise ValueError("max_error chooses the bits: leave them 'auto', or 16")
+        return asked
 
 
 class FitLightSettings(Wire):

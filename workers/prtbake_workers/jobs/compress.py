@@ -19,28 +19,32 @@ from prtbake_workers.arrays import F32, F64
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.methods import Fit, compress
+from prtbake_workers.compress.to_error import compress_to_error
+from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
-from prtbake_workers.jobs.rounding import options, write_rounded
+from prtbake_workers.jobs.rounding import options
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 
 _MODULE = "prtbake_workers.jobs.compress"
+COMPRESSION_SHARE = 0.9
+"""Of an error that is asked for; rounding takes the rest.  A tenth saves it a quarter of the bytes
+and costs compression some per cent of them."""
+
 READ_VERTS = 2048
 """Vertices read at a time, so that 16-bit and 32-bit copies do not lie side by side in full."""
 
 
 def stages(
     plan_of: Callable[[Results], tuple[str, list[dict[str, Any]]]],
-    *,
-    max_iterations: int,
-    threads: int,
+    settings: CompressSettings,
     seed: int,
-    rounding: dict[str, Any],
 ) -> list[Stage]:
     """Compress each part in a task of its own, then write the asset.
 
-    ``plan_of`` gives the transfer's digest and each part's compression from earlier results,
-    ``rounding`` is that of `prtbake_workers.jobs.rounding.options`.
+    ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
+    rounding = options(settings)
+    share = COMPRESSION_SHARE if settings.bits == "auto" else 1.0
 
     def parts(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
@@ -51,24 +55,27 @@ def stages(
                     "transfer": transfer,
                     "part": index,
                     "compression": compression,
-                    "max_iterations": max_iterations,
+                    "max_iterations": settings.max_iterations,
+                    "max_error": settings.max_error and share * settings.max_error,
                     "seed": seed,
                 },
                 label=f"part {index}",
-                threads=threads,
+                threads=settings.threads,
             )
             for index, compression in enumerate(compressions)
         ]
 
     def assemble(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
-        settings = {"max_iterations": max_iterations, "threads": threads, "seed": seed} | rounding
+        asked = settings.model_dump(include={"max_iterations", "max_error", "threads"})
         args = {
             "transfer": transfer,
             "factors": [result["factors"] for result in results["compress"]],
             "left": [result["errors"][result["name"]] for result in results["compress"]],
+            "energies": [result["initial_energy"] for result in results["compress"]],
             "rounding": rounding,
-            "compress": settings | {"parts": compressions},
+            "max_error": settings.max_error,
+            "compress": asked | {"seed": seed} | rounding | {"parts": compressions},
         }
         return [Task(f"{_MODULE}:assemble", args)]
 
@@ -89,14 +96,7 @@ def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> l
         parts = results["plan"][0]["plan"]["parts"]
         return transfer, [part["compression"] for part in parts]
 
-    rest = stages(
-        plan_of,
-        max_iterations=settings.max_iterations,
-        threads=settings.threads,
-        seed=seed,
-        rounding=options(settings),
-    )
-    return [Stage("plan", "plan", 1.0, outline), *rest]
+    return [Stage("plan", "plan", 1.0, outline), *stages(plan_of, settings, seed)]
 
 
 def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
@@ -157,18 +157,16 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     def progress(fraction: float, phase: str) -> None:
         context.progress(fraction, 1.0, phase)
 
-    compressed = compress(
-        compression.method,
-        coefficients,
-        compression,
-        Fit(
-            seed=args["seed"],
-            max_iterations=args["max_iterations"],
-            n_channels=part.n_channels,
-            vertex_weights=weights,
-            progress=progress,
-        ),
+    fit = Fit(
+        seed=args["seed"],
+        max_iterations=args["max_iterations"],
+        n_channels=part.n_channels,
+        vertex_weights=weights,
+        progress=progress,
     )
+    inputs = compression.method, coefficients, compression, fit
+    asked = args["max_error"]
+    compressed = compress(*inputs) if asked is None else compress_to_error(*inputs, asked)
     model = compressed.model
     header = {"method": compression.method}
     path = write_bundle(context.scratch / "factors.h5", compressed.factors, header)
@@ -211,7 +209,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
         write_asset(exact_path, exact, bits=32)
-        rounded = write_rounded(path, exact, transfer, args["rounding"], args["left"])
+        rounded, delivered = write_delivered(path, exact, transfer, args)
     size = path.stat().st_size
     return {
         "asset": context.store.put_file(path, move=True),
@@ -219,6 +217,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bytes": size,
         "groups": rounded.asset.nbytes,
         "precision": [asdict(part.precision) for part in rounded.asset.parts if part.precision],
+        "delivered": delivered,
         "errors": errors | rounded.errors,
         "notes": notes + rounded.notes,
     }

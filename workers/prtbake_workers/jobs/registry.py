@@ -21,7 +21,6 @@ from prtbake_workers.jobs import (
     register,
     render,
     report,
-    rounding,
     validate,
 )
 from prtbake_workers.planning.presets import StageSettings, resolve_stages
@@ -85,13 +84,7 @@ def _asset(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
 
     return [
         *bake.stages(request, context, settings, parsed.quality),
-        *compress.stages(
-            planned,
-            max_iterations=settings.compress.max_iterations,
-            threads=settings.compress.threads,
-            seed=parsed.seed,
-            rounding=rounding.options(settings.compress),
-        ),
+        *compress.stages(planned, settings.compress, parsed.seed),
         *fit_light.stages(environment, settings.fit_light, parsed.seed),
         *render.stages(lit, settings.render),
         *validate.stages(held, environment, settings.validation, parsed.seed),

@@ -42,6 +42,7 @@ def write_rounded(
     transfer: TransferFile,
     rounding: dict[str, Any],
     left: list[float],
+    allowed: list[float] | None = None,
 ) -> Rounded:
     """Write the asset with rounded factors.
 
@@ -51,6 +52,9 @@ def write_rounded(
         As `options` gives it.
     left
         Squared-error ratio of each part's compression.
+    allowed
+        Squared error that rounding may add to each part, weighted by area, where the settings do
+        not bound it; a hundredth of what is left when None.
 
     Raises
     ------
@@ -59,9 +63,11 @@ def write_rounded(
     """
     areas = [part.areas for part in transfer.header.parts]
     energies = [float(own @ transfer.energies(i).signal) for i, own in enumerate(areas)]
+    if allowed is None:
+        allowed = [SHARE * share * energy for share, energy in zip(left, energies, strict=True)]
     chosen = [
-        _scales(part, own, energy, rounding, share)
-        for part, own, energy, share in zip(exact.parts, areas, energies, left, strict=True)
+        _scales(part, own, energy, rounding, default)
+        for part, own, energy, default in zip(exact.parts, areas, energies, allowed, strict=True)
     ]
     ratios = [
         _ratio(error.total, energy) for (_, error), energy in zip(chosen, energies, strict=True)
@@ -117,14 +123,14 @@ def check_stated(part: Part, error: RoundingError, energy: float, bound: float |
 
 
 def _scales(
-    part: Part, areas: F64, energy: float, rounding: dict[str, Any], left: float
+    part: Part, areas: F64, energy: float, rounding: dict[str, Any], default: float
 ) -> tuple[Scales, RoundingError]:
     """Choose the scales of a part by its bits or its bound; also the error they leave."""
     if rounding["bits"] != "auto" or energy == 0.0:
         scales = peak_scales(part, 16 if rounding["bits"] == "auto" else rounding["bits"])
         return scales, measured(part, scales, areas)
     given = rounding["max_quantisation_error"]
-    allocation = allocate_bits(part, areas, (SHARE * left if given is None else given) * energy)
+    allocation = allocate_bits(part, areas, default if given is None else given * energy)
     if allocation.meets or given is None:
         # without a bound of its own, a part that compression fits as closely as 16 bits has these
         return allocation.scales, allocation.error
