@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure7 results effects targets mitsuba serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure7 results effects targets sloan mitsuba serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -74,6 +74,10 @@ effects: setup ## Hold planning against what effects cost and bring, into docs/m
 targets: setup ## Hold errors asked of compression against delivered files, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/targets.py
+
+sloan: setup ## Redo the clustered PCA of Sloan's paper, into docs/measured (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	$(BIN)/python tests/measured/sloan.py
 
 mitsuba: setup ## Hold baked scenes against Mitsuba 3, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }

@@ -108,8 +108,8 @@ def test_size_is_that_of_the_float32_factors(diffuse):
     assert model.nbytes == 4 * (6 * 81 + 6 * 4 * 81 + 600 * 4)
 
 
-@pytest.mark.parametrize("method", ["iterative", "adaptive", "best"])
-def test_other_methods_are_refused_by_name(diffuse, method):
-    with pytest.raises(SettingsError, match=method) as caught:
-        compress_cpca(diffuse, 6, 4, method=method, seed=0)
-    assert caught.value.pointer == "/method"
+@pytest.mark.parametrize(("field", "value"), [("method", "best"), ("back_end", "qr")])
+def test_unknown_choices_are_refused_by_name(diffuse, field, value):
+    with pytest.raises(SettingsError, match=value) as caught:
+        compress_cpca(diffuse, 6, 4, seed=0, **{field: value})
+    assert caught.value.pointer == f"/{field}"

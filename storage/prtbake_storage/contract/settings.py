@@ -195,6 +195,9 @@ class CompressSettings(Wire):
     """Of the tensor approximation: view, light, vertex."""
     n_components: Annotated[int, Field(ge=1, le=512)] | None = None
     """Of PCA; of clustered PCA, a cluster."""
+    classification: Literal["static", "iterative", "adaptive"] = "static"
+    """Of clustered PCA: by distance to the mean, by error, or by error with as many components a
+    cluster as pay there, `n_components` in the mean."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
     """Rounds of clustering at most."""
     bits: Literal[8, 16, "auto"] = "auto"

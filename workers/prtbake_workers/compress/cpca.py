@@ -1,9 +1,11 @@
 """Clustered principal component analysis of a diffuse transfer signal [Sloan2003]_ section 4.
 
-The static method: vertices are clustered by the distance to their cluster's mean, and one PCA is
-fitted in each cluster afterwards.
+Three methods, each beginning with the one before: ``static`` clusters vertices by the distance to
+their cluster's mean and fits one PCA in each cluster afterwards, ``iterative`` clusters them by the
+error that the components leave, ``adaptive`` gives clusters as many components as pay there.
 """
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -11,11 +13,14 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.compress import gram_eigh, power_iteration
+from prtbake_workers.compress.affine_clusters import AffineClusters, RowSpace, projected_weights
 from prtbake_workers.compress.clusters import members_by_cluster
+from prtbake_workers.compress.cpca_adaptive import adapt
+from prtbake_workers.compress.cpca_iterative import iterate
 from prtbake_workers.compress.cpca_model import CpcaModel
-from prtbake_workers.compress.energy import row_energy, row_energy_by_chunks
-from prtbake_workers.compress.gram_eigh import leading_row_space
+from prtbake_workers.compress.energy import row_energy_by_chunks
 from prtbake_workers.compress.inputs import (
     checked_count,
     checked_signal,
@@ -24,10 +29,19 @@ from prtbake_workers.compress.inputs import (
 )
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
-from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
+from prtbake_workers.compress.parallel import same_bytes_on_any_threads
 from prtbake_workers.compress.progress import Progress, no_progress
 
-METHODS = ("static",)
+__all__ = ["BACK_ENDS", "METHODS", "CpcaModel", "compress_cpca"]
+
+METHODS = ("static", "iterative", "adaptive")
+BACK_ENDS: dict[str, RowSpace] = {
+    "gram_eigh": gram_eigh.leading_row_space,
+    "power_iteration": power_iteration.leading_row_space,
+}
+# Of the time that the clustering by means and the iterations take, about.
+MEANS_SHARE = {"iterative": 0.1, "adaptive": 0.05}
+ITERATIONS_SHARE = {"iterative": 0.9, "adaptive": 0.65}
 
 
 def compress_cpca(
@@ -39,6 +53,7 @@ def compress_cpca(
     seed: int,
     max_iterations: int = 40,
     vertex_weights: NDArray[Any] | None = None,
+    back_end: str = "gram_eigh",
     progress: Progress = no_progress,
 ) -> CpcaModel:
     """Approximate each row of ``signal`` by its cluster's mean and principal components.
@@ -51,32 +66,41 @@ def compress_cpca(
     n_clusters, n_components
         Clusters and components in each, at least 1; cut to what the signal can fill.
     method
-        ``static``: classification by distance to the mean.
+        ``static``: classification by distance to the mean.  ``iterative``: by approximation error,
+        components added one by one ([Sloan2003]_ 4.2).  ``adaptive``: the components then
+        distributed over the clusters ([Sloan2003]_ 4.3), ``n_components`` in the mean: the same
+        storage, and up to four times as many in a cluster.
     seed
         Start of the clustering; the same seed and signal give the same model.
     max_iterations
-        Most clustering iterations.
+        Most clustering iterations: by means, then for each number of components, then of the
+        distribution.  All end earlier when no vertex moves or one wins little.
     vertex_weights
         Weight of each vertex in the squared error, >= 0, e.g. its area; ones when None.  Vertices
         of weight zero are approximated by what serves the others.
+    back_end
+        How principal components are found: ``gram_eigh`` decomposes Gram matrices,
+        ``power_iteration`` takes one vector after the other, slower ([Miandji2011]_ appendix).
     progress
-        Called with the fraction done and a word on the state, once an iteration.
+        Called with the fraction done and a word on the state, at most once an iteration.
+
+    Returns
+    -------
+    CpcaModel
+        The same bytes on any number of threads.  With the same arguments the squared error of
+        ``iterative`` is at most that of ``static``, from whose clusters it starts (and again from
+        its components, should it end above it), and that of ``adaptive`` at most that of
+        ``iterative``, of which it takes only steps that lower it, at no more bytes.
 
     Raises
     ------
     SettingsError
         For what cannot be used, with the argument as pointer and the vertex in the message.
-
-    Notes
-    -----
-    [Sloan2003]_ keeps a cluster's squared error as |x - x0|^2 minus the squared weights; here it
-    is taken from the residual itself, which stays exact when it is small.
+    ObjectiveRose
+        Where the squared error rises between model steps by more than 1e-7 of the squared norm.
     """
-    if method not in METHODS:
-        raise SettingsError(
-            f"CPCA method {method!r} is not available; use {', '.join(map(repr, METHODS))}",
-            pointer="/method",
-        )
+    _known(method, METHODS, "method", "CPCA method")
+    _known(back_end, BACK_ENDS, "back_end", "PCA back end")
     x = checked_signal(signal, "signal", ("verts", "dims"))
     n_verts, n_dims = x.shape
     weights = checked_vertex_weights(vertex_weights, n_verts)
@@ -98,87 +122,124 @@ def compress_cpca(
     checked_count(max_iterations, "max_iterations")
 
     with same_bytes_on_any_threads():
-        return _fit(x, weights, n_clusters, n_components, seed, max_iterations, notes, progress)
+        fit = _Fit(x, weights, method, BACK_ENDS[back_end], max_iterations, progress)
+        clusters = fit.run(n_clusters, n_components, seed)
+        model = _model(clusters, fit.trace, n_components, seed, notes)
+        if model.n_clusters < n_clusters:
+            left_out = n_clusters - model.n_clusters
+            notes.append(f"{left_out} clusters left out: too few distinct vertices")
+        return model
 
 
-def _fit(
-    x: Float32[F32, "verts dims"],
-    weights: Float64[F64, " verts"],
-    n_clusters: int,
+def _known(value: str, known: Collection[str], name: str, what: str) -> None:
+    if value not in known:
+        raise SettingsError(
+            f"{what} {value!r} is not available; use {', '.join(map(repr, known))}",
+            pointer=f"/{name}",
+        )
+
+
+class _Fit:
+    """Runs one method, and keeps the objective."""
+
+    def __init__(
+        self,
+        x: Float32[F32, "verts dims"],
+        weights: Float64[F64, " verts"],
+        method: str,
+        row_space: RowSpace,
+        max_iterations: int,
+        progress: Progress,
+    ) -> None:
+        self.x, self.weights, self.method, self.row_space = x, weights, method, row_space
+        self.max_iterations, self.progress = max_iterations, progress
+        self.trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "CPCA")
+
+    def run(self, n_clusters: int, n_components: int, seed: int) -> AffineClusters:
+        """Cluster by means, then as the method does."""
+        # the components of the static method cost about as much as one iteration
+        by_means = MEANS_SHARE.get(self.method, self.max_iterations / (self.max_iterations + 1))
+        clusters = self._by_means(n_clusters, n_components, seed, self._part(0.0, by_means))
+        if self.method == "static":
+            clusters.use(np.full(clusters.n_clusters, n_components))
+            self.trace.append(clusters.squared_error)
+        else:
+            iterated = by_means + ITERATIONS_SHARE[self.method] * (1.0 - by_means)
+            part = self._part(by_means, iterated)
+            clusters = iterate(clusters, n_components, self.trace, self.max_iterations, part)
+            if self.method == "adaptive":
+                clusters = adapt(
+                    clusters, self.trace, self.max_iterations, self._part(iterated, 1.0)
+                )
+        self.progress(1.0, f"error {self.trace.ratio:.3%}")
+        return clusters
+
+    def _by_means(
+        self, n_clusters: int, n_components: int, seed: int, progress: Progress
+    ) -> AffineClusters:
+        """Cluster by the distance to the means, and find each cluster's components."""
+        self.progress(0.0, "initial clusters")
+        found = lbg(
+            self.x,
+            n_clusters,
+            rng=np.random.default_rng(seed),
+            weights=self.weights,
+            max_iterations=self.max_iterations,
+            progress=progress,
+        )
+        for value in found.objective:
+            self.trace.append(value)
+        used, labels = np.unique(found.labels, return_inverse=True)
+        clusters = AffineClusters(
+            self.x,
+            self.weights,
+            labels.astype(np.int32),
+            len(used),
+            depth=n_components,
+            row_space=self.row_space,
+        )
+        clusters.find_components()
+        return clusters
+
+    def _part(self, start: float, stop: float) -> Progress:
+        """Return a progress of a stretch of this one, whose end is the next one's start."""
+
+        def progress(fraction: float, state: str) -> None:
+            if fraction < 1.0 or stop < 1.0:
+                self.progress(start + fraction * (stop - start), state)
+
+        return progress
+
+
+def _model(
+    clusters: AffineClusters,
+    trace: ObjectiveTrace,
     n_components: int,
     seed: int,
-    max_iterations: int,
     notes: list[str],
-    progress: Progress,
 ) -> CpcaModel:
-    """Cluster, then fit a PCA in each cluster."""
-    progress(0.0, "initial clusters")
-    clusters = lbg(
-        x,
-        n_clusters,
-        rng=np.random.default_rng(seed),
-        weights=weights,
-        max_iterations=max_iterations,
-        # the components cost about as much as one iteration
-        progress=lambda done, state: progress(done * max_iterations / (max_iterations + 1), state),
-    )
+    """Return what the clusters hold, as arrays padded to the largest rank."""
     used, labels = np.unique(clusters.labels, return_inverse=True)
-    if len(used) < n_clusters:
-        notes.append(f"{n_clusters - len(used)} clusters left out: too few distinct vertices")
-    model = _fit_components(x, labels.astype(np.int32), clusters.means[used], n_components, weights)
-    components, vertex_coefficients, ranks, errors = model
-
-    trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "CPCA")
-    for value in (*clusters.objective, float(weights @ errors)):
-        trace.append(value)
-    progress(1.0, f"error {trace.ratio:.3%}")
+    subspaces = [clusters.subspaces[cluster] for cluster in used]
+    n_verts, n_dims = clusters.signal.shape
+    ranks = np.array([len(subspace.basis) for subspace in subspaces], dtype=np.int32)
+    width = max(n_components, int(ranks.max()))
+    components = np.zeros((len(used), width, n_dims), dtype=np.float32)
+    weights = np.zeros((n_verts, width), dtype=np.float32)
+    members = members_by_cluster(labels.astype(np.int32), len(used))
+    for cluster, (verts, subspace) in enumerate(zip(members, subspaces, strict=True)):
+        components[cluster, : ranks[cluster]] = subspace.basis
+        weights[verts, : ranks[cluster]] = projected_weights(clusters.signal[verts], subspace)
     return CpcaModel(
-        means=clusters.means[used],
+        means=np.array([subspace.mean for subspace in subspaces]),
         components=components,
-        weights=vertex_coefficients,
+        weights=weights,
         labels=labels.astype(np.int32),
         ranks=ranks,
         objective=trace.values,
         initial_energy=trace.squared_norm,
-        squared_error_per_vertex=errors,
-        iterations=len(clusters.objective),
+        squared_error_per_vertex=clusters.errors,
+        iterations=len(trace.values) - 1,
         seed=seed,
         notes=notes,
     )
-
-
-def _fit_components(
-    x: Float32[F32, "verts dims"],
-    labels: Int32[I32, " verts"],
-    means: Float32[F32, "clusters dims"],
-    n_components: int,
-    weights: Float64[F64, " verts"],
-) -> tuple[
-    Float32[F32, "clusters pcs dims"],
-    Float32[F32, "verts pcs"],
-    Int32[I32, " clusters"],
-    Float64[F64, " verts"],
-]:
-    """Fit a PCA in each cluster; return components, weights, ranks and squared errors."""
-    n_verts, n_dims = x.shape
-    components = np.zeros((len(means), n_components, n_dims), dtype=np.float32)
-    coefficients = np.zeros((n_verts, n_components), dtype=np.float32)
-    ranks = np.zeros(len(means), dtype=np.int32)
-    errors = np.zeros(n_verts)
-    members_of = members_by_cluster(labels, len(means))
-
-    def fit(cluster: int) -> None:
-        members = members_of[cluster]
-        centred = x[members] - means[cluster]
-        row_scale = np.sqrt(weights[members] if weights[members].any() else 1.0)
-        scaled = centred.astype(np.float64) * np.reshape(row_scale, (-1, 1))
-        basis = leading_row_space(scaled, n_components).astype(np.float32)
-        rank = len(basis)
-        projected = centred @ basis.T
-        components[cluster, :rank] = basis
-        coefficients[members, :rank] = projected
-        ranks[cluster] = rank
-        errors[members] = row_energy(centred - projected @ basis)
-
-    map_in_order(fit, range(len(means)))
-    return components, coefficients, ranks, errors

@@ -18,7 +18,8 @@ class CpcaModel:
     means
         Mean signal of each cluster.
     components
-        Orthonormal components of each cluster, strongest first; zero beyond its rank.
+        Orthonormal components of each cluster, strongest first; zero beyond its rank.  Their
+        number is that asked for, or the largest rank where clusters may have more.
     weights
         Projected weights of each vertex; zero beyond its cluster's rank.
     labels
@@ -27,13 +28,13 @@ class CpcaModel:
         Components that each cluster really has.
     objective
         Squared error, weighted by the vertices' weights, after each step: one entry a clustering
-        iteration (means only), the last with the components.
+        iteration, at first of the means only, and one when components join.
     initial_energy
         Squared norm of the signal with the same weights.
     squared_error_per_vertex
         Squared error of each vertex, without its weight.
     iterations, seed
-        Clustering iterations, and the seed they started from.
+        Steps of the objective before its last, and the seed of the first clusters.
     notes
         What was cut or left out, in words.
     trimmed

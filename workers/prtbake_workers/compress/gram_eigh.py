@@ -5,10 +5,15 @@ condition number, so Gram matrices are accumulated in float64, directions below 
 of the data are not counted as rank, and orthogonality is checked.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.linalg
 
 from prtbake_workers.arrays import F64, Float64
+
+Eigenvectors = Callable[[F64, int], tuple[F64, F64]]
+"""Gives the n largest eigenvalues of a Gram matrix, falling, and their vectors as columns."""
 
 # Directions whose share of the leading one's energy is below this are rank-deficient: float32
 # input holds each of them to 1e-7 in amplitude, 1e-14 in energy.  Leaving one out costs at most
@@ -62,12 +67,19 @@ def leading_row_space(matrix: Float64[F64, "rows dims"], rank: int) -> Float64[F
         How many to keep; fewer come back where M has lower rank (``RANK_TOLERANCE``), none for a
         matrix of zeros.
     """
+    return row_space(matrix, rank, leading_eigenvectors)
+
+
+def row_space(
+    matrix: Float64[F64, "rows dims"], rank: int, eigenvectors: Eigenvectors
+) -> Float64[F64, "kept dims"]:
+    """Return what `leading_row_space` does, with a decomposition of Gram matrices of one's own."""
     n_rows, n_dims = matrix.shape
     if 0 in matrix.shape:
         return np.zeros((0, n_dims))
     wide = n_rows < n_dims
     gram = matrix @ matrix.T if wide else matrix.T @ matrix
-    values, vectors = leading_eigenvectors(gram, min(rank, n_rows, n_dims))
+    values, vectors = eigenvectors(gram, min(rank, n_rows, n_dims))
     kept = int(np.count_nonzero(values > RANK_TOLERANCE * values.max(initial=0.0)))
     values, vectors = values[:kept], vectors[:, :kept]
     if not wide:

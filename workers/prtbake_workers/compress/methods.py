@@ -111,6 +111,8 @@ class Fit:
         Colour channels that the rows hold one after the other.
     vertex_weights
         (verts,) weights in the squared error, e.g. areas; ones when None.
+    classification
+        Of clustered PCA, one of `prtbake_workers.compress.cpca.METHODS`.
     progress
         Called with the fraction done and a word on the state.
     """
@@ -119,6 +121,7 @@ class Fit:
     max_iterations: int
     n_channels: int = 1
     vertex_weights: NDArray[Any] | None = None
+    classification: str = "static"
     progress: Progress = no_progress
 
 
@@ -185,7 +188,7 @@ def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
         _signal(coefficients),
         sizes.n_clusters,
         sizes.n_components,
-        method="static",
+        method=fit.classification,
         seed=fit.seed,
         max_iterations=fit.max_iterations,
         vertex_weights=fit.vertex_weights,

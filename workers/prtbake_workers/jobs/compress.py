@@ -162,6 +162,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         max_iterations=args["max_iterations"],
         n_channels=part.n_channels,
         vertex_weights=weights,
+        classification=compression.classification,
         progress=progress,
     )
     inputs = compression.method, coefficients, compression, fit

@@ -243,6 +243,7 @@ class PartCompression:
     n_clusters: int
     ranks: tuple[int, int, int]
     n_components: int
+    classification: str = "static"
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "PartCompression":
@@ -302,4 +303,5 @@ def resolve_compression(
         # a vertex mixes vert matrices of so many rows: together they span no more
         ranks=(view, min(light, n_coeffs, n_channels * view * vert), vert),
         n_components=min(n_components, n_channels * n_terms * n_coeffs),
+        classification=settings.classification,
     )
