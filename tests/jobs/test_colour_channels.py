@@ -102,3 +102,23 @@ def test_relit_colours_are_off_by_no_more_than_the_stated_error(results, exact, 
         if part.method == "cta":
             term_major = rows.reshape(len(rows), -1, 3, COEFFS).swapaxes(1, 2)
             assert off(term_major).sum() > 3.0 * bound.sum()
+
+
+def test_classification_goes_through_to_the_diffuse_part(store, transfer):
+    """Fewer components than colours and vertices need, so that it matters where they are."""
+    errors, sizes = [], []
+    for classification in ("static", "iterative", "adaptive"):
+        fields = {"n_components": 3, "n_clusters": 6, "classification": classification}
+        settings = SETTINGS.model_copy(update=fields)
+        made = run_stages(standalone_stages(transfer, settings, 1), store)
+        (_, diffuse) = made["compress"]
+        asset = read_asset(store.local_path(made["quantise"][0]["exact"]))
+        (_, planned) = asset.provenance["compress"]["parts"]
+        assert planned["classification"] == classification
+        part = asset.parts[1]
+        stored = part.ranks[:, 2] @ (np.bincount(part.labels) + 3 * COEFFS) + part.means.size
+        assert diffuse["factor_bytes"] == 4 * stored
+        errors.append(diffuse["errors"]["receiver"])
+        sizes.append(diffuse["factor_bytes"])
+    assert errors[2] <= errors[1] < errors[0]
+    assert sizes[2] <= sizes[1] == sizes[0]
