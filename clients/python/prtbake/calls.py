@@ -19,6 +19,7 @@ from prtbake_storage.contract.jobs import (
     Job,
     JobPage,
     RenderRequest,
+    StudyRequest,
     ValidateRequest,
 )
 from prtbake_storage.contract.resources import (
@@ -40,6 +41,7 @@ JobSpec = (
     | RenderRequest
     | ValidateRequest
     | AssetRequest
+    | StudyRequest
     | Mapping[str, Any]
 )
 """A job request as a model or as plain JSON (checked by the service)."""

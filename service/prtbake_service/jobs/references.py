@@ -1,5 +1,6 @@
 """From the names in a request to what they stand for, checked at the time of submission."""
 
+import json
 from typing import Any
 
 from prtbake_service.backend import Backend
@@ -11,6 +12,7 @@ from prtbake_storage.contract.jobs import (
     FitLightRequest,
     JobState,
     RenderRequest,
+    StudyRequest,
     ValidateRequest,
 )
 from prtbake_storage.contract.materials import (
@@ -21,10 +23,17 @@ from prtbake_storage.contract.materials import (
     require_lambert,
 )
 from prtbake_storage.contract.resources import Resource
+from prtbake_storage.contract.study import describe
 from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
 AnyRequest = (
-    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+    BakeRequest
+    | CompressRequest
+    | FitLightRequest
+    | RenderRequest
+    | ValidateRequest
+    | AssetRequest
+    | StudyRequest
 )
 Context = dict[str, Any]
 
@@ -35,6 +44,9 @@ _FILES = {
     "light": ("light.h5",),
 }
 """Role of an artefact in a request -> the names that jobs give to files of that kind."""
+
+_NAMES_NOTHING = {"settings", "seed", "label", "priority", "timeout_s", "quality", "effects"}
+"""Fields of a request that refer to nothing: points that differ in these share their context."""
 
 
 class Resolver:
@@ -58,7 +70,8 @@ class Resolver:
             ``mesh`` and ``environment``: id, canonical digest, understood; ``brdf``: id, canonical
             digest and spec (the first two None for a BRDF given in the request); ``materials``:
             as much of each one's BRDF, by group; ``artefacts``: digest, job and name by role;
-            ``albedo_texture``: digest or None.
+            ``albedo_texture``: digest or None.  Of a study ``contexts``, which differ, and
+            ``points``: of each the place of its context, or why it is refused.
         """
         match request:
             case BakeRequest():
@@ -85,6 +98,37 @@ class Resolver:
                     "artefacts": self._artefacts(**references),
                     "environment": self._resource("environment", request.environment),
                 }
+            case StudyRequest():
+                return self._study(request)
+
+    def _study(self, request: StudyRequest) -> Context:
+        contexts: list[Context] = []
+        places: list[Context] = []
+        known: dict[str, Context] = {}
+        for point in request.points():
+            if point.request is None:
+                places.append({"refused": point.refused})
+                continue
+            names = point.request.model_dump(mode="json", exclude=_NAMES_NOTHING)
+            key = json.dumps(names, sort_keys=True)
+            if key not in known:
+                try:
+                    contexts.append(self.resolve(point.request))
+                except (InputError, NotFound, Conflict) as error:
+                    if isinstance(error, InputError) and request.skip_illegal:
+                        known[key] = {"refused": error.detail}
+                    else:
+                        raise type(error)(
+                            f"point of {describe(point.values)}: {error.detail}",
+                            pointer=f"/base{error.pointer or ''}",
+                        ) from error
+                else:
+                    known[key] = {"context": len(contexts) - 1}
+            places.append(known[key])
+        if not contexts:
+            (reason, *_) = (place["refused"] for place in places)
+            raise SettingsError(f"no point can be run: {reason}", pointer="/axes")
+        return {"contexts": contexts, "points": places}
 
     def _scene(self, request: BakeRequest | AssetRequest) -> Context:
         mesh = self._resource("mesh", request.mesh)

@@ -11,6 +11,8 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
+from prtbake_storage.plots import FRONTIER_SCRIPT
+
 STATIC = Path(__file__).parent / "static"
 _POLICY = "; ".join(
     (
@@ -32,3 +34,9 @@ static_files = StaticFiles(directory=STATIC)
 def index() -> FileResponse:
     """Give the page."""
     return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": _POLICY})
+
+
+@router.get(f"/static/{FRONTIER_SCRIPT.name}")
+def frontier_script() -> FileResponse:
+    """Give what draws the plot of a study, here and in the page that the study leaves."""
+    return FileResponse(FRONTIER_SCRIPT, media_type="text/javascript")

@@ -1,10 +1,11 @@
 """Jobs as they go over the wire: requests by kind, state, progress, artefacts, estimates."""
 
+from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, field_validator
+from pydantic import Field, TypeAdapter, ValidationInfo, field_serializer, field_validator
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
@@ -19,6 +20,15 @@ from prtbake_storage.contract.settings import (
     ReceiverPlane,
     RenderSettings,
     ValidateSettings,
+)
+from prtbake_storage.contract.study import (
+    Axes,
+    Axis,
+    Values,
+    describe,
+    first_fault,
+    grid,
+    laid_over,
 )
 
 
@@ -41,16 +51,19 @@ class JobState(StrEnum):
 
 TERMINAL = frozenset({JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired})
 
-JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset"]
+JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset", "study"]
 ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,100}$")]
 """``JOB/NAME`` of an artefact of an earlier job."""
 
 
-class _Request(Wire):
+class _Submission(Wire):
     label: Label | None = None
     priority: Annotated[int, Field(ge=1, le=100)] = 50
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     timeout_s: Annotated[int, Field(ge=1, le=7 * 86400)] | None = None
+
+
+class _Request(_Submission):
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
 
 class _SceneRequest(_Request):
@@ -125,17 +138,103 @@ class AssetRequest(_SceneRequest):
     settings: AssetSettings = AssetSettings()
 
 
+Studied = BakeRequest | CompressRequest | FitLightRequest | AssetRequest
+"""Jobs that leave a file of some size with an error of its own."""
+StudiedRequest = Annotated[Studied, Field(discriminator="kind")]
+_studied: TypeAdapter[Studied] = TypeAdapter(StudiedRequest)
+
+
+@dataclass(frozen=True)
+class StudyPoint:
+    """A combination of the axes' values: the request that it makes, or why it makes none."""
+
+    index: int
+    values: Values
+    request: Studied | None
+    refused: str | None
+
+
+class StudyRequest(_Submission):
+    """Run a request at every combination of some values: gives error against seconds and bytes.
+
+    ``axes`` are laid over ``base``, whose label, priority and timeout are not looked at.  Work that
+    points have in common is done once.  Combinations that make no legal request are refused, or
+    with ``skip_illegal`` left out and listed.
+    """
+
+    kind: Literal["study"] = "study"
+    base: StudiedRequest
+    """The request at the values that no axis changes."""
+    skip_illegal: bool = False
+    """Leave out points whose values do not go together."""
+    axes: Axes
+    """Paths into the base and the values there: `{"settings.n_clusters": [16, 32]}`, or a list."""
+
+    @field_serializer("base")
+    def _sparse(self, base: Studied) -> dict[str, Any]:
+        return _as_given(base)
+
+    @field_validator("axes")
+    @classmethod
+    def _legal(cls, axes: list[Axis], info: ValidationInfo) -> list[Axis]:
+        """Refuse here, at submission, what a point's own submission would refuse."""
+        if "base" not in info.data:  # refused itself
+            return axes
+        points = _points(info.data["base"], axes)
+        refused = [point for point in points if point.refused is not None]
+        if refused and (len(refused) == len(points) or not info.data.get("skip_illegal")):
+            (first, *_) = refused
+            raise ValueError(
+                f"{len(refused)} of {len(points)} points are illegal, as the one of "
+                f"{describe(first.values)}: {first.refused}"
+            )
+        return axes
+
+    def points(self) -> list[StudyPoint]:
+        """List all points, the illegal ones too, in the order of `grid`."""
+        return _points(self.base, self.axes)
+
+
+def _as_given(base: Studied) -> dict[str, Any]:
+    """Write a request with no more settings than it was given.
+
+    Some settle the defaults of others: spelled out, these would stand in an axis's way.
+    """
+    given = base.settings.model_dump(mode="json", exclude_unset=True)
+    return base.model_dump(mode="json", exclude={"settings"}) | {"settings": given}
+
+
+def _points(base: Studied, axes: list[Axis]) -> list[StudyPoint]:
+    points = []
+    given = _as_given(base)
+    for index, values in enumerate(grid(axes)):
+        try:
+            request = _studied.validate_python(laid_over(given, values))
+        except ValueError as error:
+            points.append(StudyPoint(index, values, None, first_fault(error)))
+        else:
+            points.append(StudyPoint(index, values, request, None))
+    return points
+
+
 JobRequest = Annotated[
     BakeRequest
     | CompressRequest
     | FitLightRequest
     | RenderRequest
     | ValidateRequest
-    | AssetRequest,
+    | AssetRequest
+    | StudyRequest,
     Field(discriminator="kind"),
 ]
 job_request_adapter: TypeAdapter[
-    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+    BakeRequest
+    | CompressRequest
+    | FitLightRequest
+    | RenderRequest
+    | ValidateRequest
+    | AssetRequest
+    | StudyRequest
 ] = TypeAdapter(JobRequest)
 
 

@@ -11,6 +11,7 @@ from prtbake_storage.contract.jobs import (
     Estimate,
     FitLightRequest,
     RenderRequest,
+    StudyRequest,
     ValidateRequest,
     job_request_adapter,
 )
@@ -21,6 +22,7 @@ from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
+from prtbake_workers.jobs import study_estimate
 from prtbake_workers.jobs.compress import spectrum_of
 from prtbake_workers.jobs.inputs import load_environment
 from prtbake_workers.jobs.plan import arguments, plan_scene
@@ -43,6 +45,9 @@ from prtbake_workers.planning.scattering_cost import row_runs
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
+OneRequest = (
+    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+)
 BAKE_STAGES = ("plan", "bake", "scattering", "bounces")
 BAKE_FILES = ("transfer.h5",)
 """What a lone bake runs and leaves, of the plan of a whole asset."""
@@ -74,22 +79,29 @@ def finish(results: Results) -> Finished:
 def estimate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: check what the request refers to, and predict what the job would cost."""
     request = job_request_adapter.validate_python(args["request"])
-    store, given = context.store, args["context"]
+    if isinstance(request, StudyRequest):
+        return study_estimate.predict(request, args["context"], context.store, predict)
+    return predict(request, args["request"], args["context"], context.store).model_dump(mode="json")
+
+
+def predict(
+    request: OneRequest, body: dict[str, Any], given: dict[str, Any], store: BlobStore
+) -> Estimate:
+    """Predict a job of any kind but a study."""
     match request:
         case AssetRequest() | BakeRequest():
-            predicted = _scene(request, args["request"], given, store)
+            return _scene(request, body, given, store)
         case CompressRequest():
-            predicted = _compress(request.settings, given, store)
+            return _compress(request.settings, given, store)
         case FitLightRequest():
             load_environment(store, given["environment"]["canonical"])
-            predicted = _only("fit_light", fit_seconds(request.settings), 1, given)
+            return _only("fit_light", fit_seconds(request.settings), 1, given)
         case RenderRequest():
             for name, read in (("asset", read_asset), ("light", read_light)):
                 read(store.local_path(given["artefacts"][name]["digest"]))
-            predicted = _only("render", None, 1, given)
+            return _only("render", None, 1, given)
         case ValidateRequest():
-            predicted = _validate(request.settings, given, store)
-    return predicted.model_dump(mode="json")
+            return _validate(request.settings, given, store)
 
 
 def _scene(

@@ -21,6 +21,7 @@ from prtbake_workers.jobs import (
     register,
     render,
     report,
+    study,
     validate,
 )
 from prtbake_workers.planning.presets import StageSettings, resolve_stages
@@ -109,6 +110,8 @@ class Registry:
         """List the stages of a job."""
         if kind in QUICK:
             return QUICK[kind](request, context)
+        if kind == "study":
+            return study.stages(request, context, KINDS)
         if kind not in KINDS:
             raise SettingsError(f"there is no job kind {kind!r}", pointer="/kind")
         title = request.get("label") or f"{kind} job"
@@ -122,6 +125,8 @@ class Registry:
             return register.finish(results)
         if kind == "estimate":
             return estimate.finish(results)
+        if kind == "study":
+            return study.finish(results)
         return Finished(result=report.summary(results), artefacts=report.artefacts(results))
 
 

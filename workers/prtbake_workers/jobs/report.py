@@ -35,7 +35,7 @@ def gather(title: str, results: Results) -> dict[str, Any]:
     plan = results["plan"][0]["plan"] if "plan" in results else None
     return {
         "title": title,
-        "stages": [_stage_account(name, results, plan) for name in results],
+        "stages": [stage_account(name, results, plan) for name in results],
         "plan": plan,
         "tiles": [
             {name: tile[name] for name in TILE_FIGURES}
@@ -87,8 +87,8 @@ def _numerics(results: Results) -> dict[str, Any]:
     return numerics
 
 
-def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> dict[str, Any]:
-    measured = results.measured(name)
+def stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> dict[str, Any]:
+    """Give one stage's cost, its own errors and the files that it left."""
     errors: dict[str, float] = {}
     for result in results[name]:
         errors |= result.get("errors", {})
@@ -96,13 +96,18 @@ def _stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> 
         errors = projection_errors(plan["parts"], results["bake"])
     if name == "bounces":
         errors = bounce.errors(results)
+    predicted = plan["seconds"].get(name) if plan else None
+    return stage_cost(name, results) | {"predicted_seconds": predicted, "errors": errors}
+
+
+def stage_cost(name: str, results: Results) -> dict[str, Any]:
+    """Give what one stage cost, and the files that it left."""
+    measured = results.measured(name)
     return {
         "name": name,
         "tiles": len(results[name]),
         "seconds": sum((one.seconds for one in measured), start=0.0),
         "peak_memory_bytes": max((one.peak_memory_bytes for one in measured), default=0),
-        "predicted_seconds": plan["seconds"].get(name) if plan else None,
-        "errors": errors,
         "files": sorted(set(referenced_digests(results[name]))),
     }
 

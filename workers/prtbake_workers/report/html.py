@@ -1,6 +1,7 @@
 """The report as one HTML page with its pictures inside: nothing to fetch, nothing to run."""
 
 import base64
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,7 +9,7 @@ import jinja2
 
 from prtbake_workers.validation.chain import MEANINGS
 
-_ENVIRONMENT = jinja2.Environment(
+ENVIRONMENT = jinja2.Environment(
     loader=jinja2.PackageLoader("prtbake_workers.report", "templates"),
     autoescape=True,
     undefined=jinja2.StrictUndefined,
@@ -17,13 +18,15 @@ _ENVIRONMENT = jinja2.Environment(
 )
 
 
-def _percent(value: int | float | None) -> str:
+def percent(value: int | float | None) -> str:
+    """Write a ratio; a dash where there is none."""
     if value is None:
         return "–"
     return f"{100 * value:.3g} %"
 
 
-def _bytes(value: int | float) -> str:
+def size(value: int | float) -> str:
+    """Write a number of bytes."""
     for unit in ("B", "kB", "MB"):
         if abs(value) < 1000:
             return f"{value:.3g} {unit}"
@@ -31,11 +34,12 @@ def _bytes(value: int | float) -> str:
     return f"{value:.3g} GB"
 
 
-def _seconds(value: int | float) -> str:
+def seconds(value: int | float) -> str:
+    """Write a duration."""
     return f"{value:.3g} s" if value < 120 else f"{value / 60:.1f} min"
 
 
-_ENVIRONMENT.filters |= {"percent": _percent, "size": _bytes, "seconds": _seconds}
+ENVIRONMENT.filters |= {"percent": percent, "size": size, "seconds": seconds, "json": json.dumps}
 
 
 def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
@@ -44,6 +48,6 @@ def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str
         name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
         for name, data in pictures.items()
     }
-    return _ENVIRONMENT.get_template("report.html").render(
+    return ENVIRONMENT.get_template("report.html").render(
         report=report, pictures=embedded, meanings=MEANINGS
     )

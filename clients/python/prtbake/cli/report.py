@@ -14,7 +14,8 @@ Result = Mapping[str, Any]
 
 def print_result(result: Result) -> None:
     """Print what is there, and nothing about what is not."""
-    for table in (_budget(result), _errors(result), _costs(result), _effects(result)):
+    tables = (_frontier(result), _budget(result), _errors(result), _costs(result), _effects(result))
+    for table in tables:
         if table is not None and table.row_count:
             console().print(table)
     if _is_list(notes := result.get("notes")) and notes:
@@ -88,6 +89,34 @@ def _budget(result: Result) -> Table | None:
             "the reference is black or lost in its noise: relative to the brightest picture"
         )
     table.caption = "\n".join(captions) or None
+    return table
+
+
+def _frontier(result: Result) -> Table | None:
+    points = result.get("frontier")
+    if not _is_list(points):
+        return None
+    table = Table(
+        title="frontier: points that no other beats in error and cost",
+        title_justify="left",
+        caption=f"the error is {result.get('error_is')}",
+        caption_justify="left",
+    )
+    for heading in ("point", "error", "time", "size"):
+        table.add_column(heading, justify="right")
+    table.add_column("of")
+    table.add_column("values")
+    for point in points:
+        if isinstance(point, Mapping):
+            values = point.get("values") or {}
+            table.add_row(
+                str(point.get("point")),
+                _percent(point.get("error")),
+                human_seconds(_number(point.get("seconds")) or 0.0),
+                human_bytes(_number(point.get("bytes")) or 0.0),
+                escape(", ".join(map(str, point.get("frontier") or ()))),
+                escape(", ".join(f"{path} = {value}" for path, value in values.items())),
+            )
     return table
 
 

@@ -5,15 +5,14 @@ done with the request, so that both groups take the same options.
 """
 
 import inspect
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 from pydantic import BaseModel
 
-from prtbake.cli.assignments import legal_names, nested, one_of, read_json
+from prtbake.cli.assignments import legal_names, nested, one_of
 from prtbake.cli.context import client_of
 from prtbake.cli.materials import (
     Materials,
@@ -28,6 +27,7 @@ from prtbake.cli.sources import (
     existing_file,
     key_values,
     mesh_id,
+    read_request,
 )
 from prtbake.client import Client
 from prtbake_storage.contract import resources as contract
@@ -375,11 +375,7 @@ def file(
 ) -> Request:
     """Take the whole request from a JSON file."""
     del client
-    text = sys.stdin.read() if request == "-" else existing_file(request, "REQUEST").read_text()
-    value = read_json(text, "REQUEST")
-    if not isinstance(value, dict):
-        raise typer.BadParameter("a request is a JSON object", param_hint="REQUEST")
-    return value
+    return read_request(request, "REQUEST")
 
 
 BUILDERS: dict[str, Builder] = {
@@ -393,12 +389,14 @@ BUILDERS: dict[str, Builder] = {
 }
 
 
-def request_commands(group: typer.Typer, action: Action) -> None:
-    """Add one command a job kind: the builder's options, then those of the action.
+def request_commands(
+    group: typer.Typer, action: Action, builders: Mapping[str, Builder] = BUILDERS
+) -> None:
+    """Add one command a builder: its options, then those of the action.
 
     The action is called as ``action(client, request, **its options)``.
     """
-    for name, builder in BUILDERS.items():
+    for name, builder in builders.items():
         group.command(name, epilog=WORDS)(_joined(builder, action))
 
 

@@ -9,6 +9,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,7 @@ import typer
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from prtbake.cli.assignments import legal_names, parse_value
+from prtbake.cli.assignments import legal_names, parse_value, read_json
 from prtbake.client import Client
 from prtbake.errors import InvalidRequest
 from prtbake_storage.contract.brdf import BrdfSpec, brdf_adapter
@@ -133,6 +134,15 @@ def existing_file(source: str, option: str) -> Path:
     if not path.is_file():
         raise typer.BadParameter(f"there is no file {source}", param_hint=option)
     return path
+
+
+def read_request(place: str, name: str) -> dict[str, Any]:
+    """Read a request from a JSON file, or from standard input for ``-``."""
+    text = sys.stdin.read() if place == "-" else existing_file(place, name).read_text()
+    value = read_json(text, name)
+    if not isinstance(value, dict):
+        raise typer.BadParameter("a request is a JSON object", param_hint=name)
+    return value
 
 
 def key_values(pairs: list[str]) -> dict[str, Any]:

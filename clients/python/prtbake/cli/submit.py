@@ -9,7 +9,8 @@ from prtbake.cli.exits import exit_of
 from prtbake.cli.output import Output, OutputOption, messages, print_estimate, print_job
 from prtbake.cli.progress import show
 from prtbake.cli.report import print_result
-from prtbake.cli.requests import request_commands
+from prtbake.cli.requests import BUILDERS, request_commands
+from prtbake.cli.study import study
 from prtbake.client import Client
 from prtbake_storage.contract.jobs import Job, JobState
 
@@ -64,5 +65,5 @@ def estimate(
     print_estimate(client.estimate(request), output)
 
 
-request_commands(submit_group, submit)
-request_commands(estimate_group, estimate)
+for group, action in ((submit_group, submit), (estimate_group, estimate)):
+    request_commands(group, action, BUILDERS | {"study": study})

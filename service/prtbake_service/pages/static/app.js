@@ -1,6 +1,7 @@
 // The page of jobs.  All text goes in as text, never as markup.
 
 import { Api, ApiError } from "/static/api.js";
+import { drawFrontier } from "/static/frontier.js";
 
 const REFRESH_MS = 2000;
 const TERMINAL = new Set(["succeeded", "failed", "canceled", "expired"]);
@@ -70,6 +71,13 @@ async function showPreview(card, job) {
   image.hidden = false;
 }
 
+// A study's file never changes: it is read once, when its plot is first opened.
+async function showFrontier(details, jobId) {
+  const plot = details.querySelector(".plot");
+  if (plot.childElementCount) return;
+  drawFrontier(plot, JSON.parse(await (await api.artefact(jobId, "study.json")).text()));
+}
+
 function attempt(action) {
   return async () => {
     try { await action(); } catch (error) { fail(error); return; }
@@ -81,6 +89,8 @@ function makeCard(job) {
   const element = byId("job-template").content.firstElementChild.cloneNode(true);
   element.querySelector(".cancel").onclick = attempt(() => api.cancel(job.id));
   element.querySelector(".retry").onclick = attempt(() => api.retry(job.id));
+  const plot = element.querySelector(".study");
+  plot.ontoggle = () => { if (plot.open) showFrontier(plot, job.id).catch(fail); };
   return { element, version: "", preview: null };
 }
 
@@ -103,7 +113,8 @@ function fill(card, job) {
   part(".error").textContent = job.error ? `${job.error.detail} [${job.error.code}]` : "";
   part(".cancel").hidden = TERMINAL.has(job.state) || job.state === "cancel_requested";
   part(".retry").hidden = !RETRYABLE.has(job.state);
-  part("details").hidden = job.artefacts.length === 0;
+  part(".study").hidden = !job.artefacts.some((artefact) => artefact.name === "study.json");
+  part(".left").hidden = job.artefacts.length === 0;
   part(".files").replaceChildren(...job.artefacts.map((artefact) => {
     const item = document.createElement("li");
     const button = document.createElement("button");

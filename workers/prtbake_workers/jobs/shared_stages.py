@@ -1,0 +1,174 @@
+"""Stages of many jobs of one kind as those of one job: a task that several have is run once.
+
+What a task gives depends on its arguments alone, so tasks of one key are one task.  Results are
+then dealt out again: every job goes on as if it had run by itself.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from prtbake_storage.errors import InputError, SettingsError
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.jobs import compress, plan
+
+_MODULE = "prtbake_workers.jobs.shared_stages"
+PLANNING = {
+    "prtbake_workers.jobs.plan:plan": plan.plan,
+    "prtbake_workers.jobs.compress:outline": compress.outline,
+}
+"""Tasks that refuse what only the inputs tell to be illegal, as clustered PCA of many terms."""
+
+
+@dataclass
+class Share:
+    """One job's part: its own results, the keys of its tasks by stage, and why it was given up."""
+
+    results: Results = field(default_factory=Results)
+    keys: dict[str, list[str]] = field(default_factory=dict)
+    refused: str | None = None
+
+
+class SharedStages:
+    """The stages of several jobs, side by side.
+
+    Parameters
+    ----------
+    jobs
+        The stages of each.  All jobs have them in the same order; a job may lack some.
+    names
+        What sentences call each job.
+    skip_refused
+        Go on without jobs whose planning refuses them, instead of failing with their error.
+    """
+
+    def __init__(
+        self, jobs: Sequence[Sequence[Stage]], names: Sequence[str], *, skip_refused: bool
+    ) -> None:
+        self._jobs = [{stage.name: stage for stage in stages} for stages in jobs]
+        self._order = merged([[stage.name for stage in stages] for stages in jobs])
+        self._names, self._skip_refused = names, skip_refused
+        # what was dealt out of the results that were asked about last: these only ever grow
+        self._seen: Results | None = None
+        self._shares: list[Share] = []
+        self._dealt = 0
+
+    def stages(self) -> list[Stage]:
+        """List the common stages."""
+        return [self._stage(name) for name in self._order]
+
+    def shares(self, results: Results) -> list[Share]:
+        """Deal out what the common stages have left so far.
+
+        Raises
+        ------
+        InputError
+            Naming the job, where its planning refused it and refused ones are not skipped, or where
+            all are refused.
+        """
+        if results is not self._seen:
+            self._seen, self._dealt = results, 0
+            self._shares = [Share() for _ in self._jobs]
+        try:
+            while self._dealt < len(self._order) and self._order[self._dealt] in results:
+                self._deal(self._order[self._dealt], results)
+                self._dealt += 1
+        except InputError:
+            self._seen = None  # a stage is half dealt out
+            raise
+        return self._shares
+
+    def shared_keys(self, results: Results) -> set[str]:
+        """Find the tasks that more than one job uses."""
+        uses: Counter[str] = Counter()
+        for share in self.shares(results):
+            uses.update({key for keys in share.keys.values() for key in keys})
+        return {key for key, count in uses.items() if count > 1}
+
+    def _stage(self, name: str) -> Stage:
+        model = next(stages[name] for stages in self._jobs if name in stages)
+
+        def tasks(results: Results) -> list[Task]:
+            once: dict[str, Task] = {}
+            for own in self._tasks(name, self.shares(results)):
+                for task in own:
+                    once.setdefault(task.key, task)
+            return list(once.values())
+
+        return Stage(name, model.unit, model.weight, tasks)
+
+    def _tasks(self, name: str, shares: Sequence[Share]) -> list[list[Task]]:
+        return [
+            [attempted(task) for task in stages[name].tasks(share.results)]
+            if name in stages and share.refused is None
+            else []
+            for stages, share in zip(self._jobs, shares, strict=True)
+        ]
+
+    def _deal(self, name: str, results: Results) -> None:
+        tasks = self._tasks(name, self._shares)
+        place: dict[str, int] = {}
+        for own in tasks:
+            for task in own:
+                place.setdefault(task.key, len(place))
+        values, costs = results[name], results.measured(name)
+        for job, (share, own) in enumerate(zip(self._shares, tasks, strict=True)):
+            if share.refused is not None or name not in self._jobs[job]:
+                continue
+            share.keys[name] = [task.key for task in own]
+            found = [values[place[key]] for key in share.keys[name]]
+            refused = next((value["refused"] for value in found if "refused" in value), None)
+            if refused is not None:
+                self._refuse(job, refused)
+                continue
+            share.results.add(
+                name,
+                [value.get("attempted", value) for value in found],
+                [costs[place[key]] for key in share.keys[name]],
+            )
+        if all(share.refused is not None for share in self._shares):
+            raise SettingsError(f"no point can be run: {self._shares[0].refused}")
+
+    def _refuse(self, job: int, refused: dict[str, Any]) -> None:
+        if not self._skip_refused:
+            detail = f"point of {self._names[job]}: {refused['detail']}"
+            raise SettingsError(detail, pointer=refused["pointer"])
+        self._shares[job].refused = refused["detail"]
+
+
+def merged(lists: Sequence[Sequence[str]]) -> list[str]:
+    """Merge lists of names into one that has each list's names in its order.
+
+    Raises
+    ------
+    ValueError
+        Where two lists have two names in different orders.
+    """
+    order: list[str] = []
+    for names in lists:
+        at = 0
+        for name in names:
+            if name not in order:
+                order.insert(at, name)
+            elif order.index(name) < at:
+                raise ValueError(f"stage {name!r} stands at different places")
+            at = order.index(name) + 1
+    return order
+
+
+def attempted(task: Task) -> Task:
+    """Turn a task of planning into one whose refusal is a result and not the job's end."""
+    if task.function not in PLANNING:
+        return task
+    args = {"function": task.function, "args": task.args}
+    return replace(task, function=f"{_MODULE}:attempt", args=args)
+
+
+def attempt(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: plan a job, or say why it cannot be."""
+    try:
+        return {"attempted": PLANNING[args["function"]](args["args"], context)}
+    except InputError as error:
+        return {"refused": {"detail": error.detail, "pointer": error.pointer}}
