@@ -96,7 +96,7 @@ def test_a_cancelled_study_goes_on_where_it_was(
     local: Installation, undisturbed: Finished, tmp_path: Path
 ) -> None:
     base = compression(undisturbed, max_iterations=30, ranks=[8, 48, 24], n_clusters=8)
-    seeds = list(range(100, 112))
+    seeds = list(range(100, 106))
     study = {"kind": "study", "base": base, "axes": {"seed": seeds}}
     first = local.client.submit(study)
 
@@ -104,7 +104,7 @@ def test_a_cancelled_study_goes_on_where_it_was(
         found = local.log(job, "task.done")
         return {one["position"] for one in found if one["stage"] == stage}
 
-    until(lambda: len(done(first.id)) >= 3, "three compressed points")
+    until(lambda: len(done(first.id)) >= 3, "three compressed parts")
     local.client.cancel(first.id)
     assert local.client.wait(first.id, check=False).state is JobState.canceled
     kept = done(first.id)
@@ -112,8 +112,10 @@ def test_a_cancelled_study_goes_on_where_it_was(
     again = local.client.wait(local.client.retry(first.id).id)
     assert again.retry_of == first.id
     begun = {position for stage, position in local.starts(again.id) if stage == 1}
-    # every part of every point but those that were done
-    assert begun == set(range(2 * len(seeds))) - kept
+    # every part of every point but those that were done, or all but: each of the two workers may
+    # have been stopped between doing one and remembering it
+    assert set(range(2 * len(seeds))) - kept <= begun
+    assert len(begun & kept) <= 2
     table = table_of(local, again, tmp_path)
     assert [point["values"]["seed"] for point in table["points"]] == seeds
     # the points that were kept are points like the others

@@ -198,6 +198,36 @@ def test_submit_a_file(run: Run, environment: str, tmp_path: Path) -> None:
     assert run("submit", "file", path).exit_code == Exit.usage
 
 
+def test_submit_a_study(run: Run, environment: str, tmp_path: Path) -> None:
+    path = tmp_path / "base.json"
+    path.write_text(json.dumps({"kind": "fit_light", "environment": environment}))
+    axes = ["--axis", "settings.n_lobes=8,16", "--axis", "settings.max_iterations=2"]
+    told = run("submit", "study", path, *axes, "--label", "lobes", "-o", "json")
+    assert told.exit_code == 0, told.output
+    request = json.loads(told.stdout)["request"]
+    assert request["axes"] == [
+        {"path": "settings.n_lobes", "values": [8, 16]},
+        {"path": "settings.max_iterations", "values": [2]},
+    ]
+    assert request["base"]["environment"] == environment
+    assert not request["skip_illegal"]
+    refused = run("submit", "study", path, "--axis", "settings.n_lobes=0,16")
+    assert refused.exit_code == Exit.refused
+    assert "settings.n_lobes = 0" in refused.stderr
+    assert run("submit", "study", path, "--axis", "settings.n_lobes").exit_code == Exit.usage
+
+
+def test_a_study_is_told_as_its_frontier(run: Run, service: LiveService, submitted: str) -> None:
+    point = {
+        "point": 3, "values": {"settings.n_lobes": 8}, "error": 0.0125, "noise": None,
+        "seconds": 2.0, "shared_seconds": 0.0, "bytes": 2048, "frontier": ["seconds", "bytes"],
+    }  # fmt: skip
+    service.succeed(submitted, {"frontier": [point], "error_is": "what is left"})
+    told = run("show", submitted).stdout
+    for text in ("1.250%", "2.0 s", "2.0 KiB", "settings.n_lobes = 8", "what is left"):
+        assert text in told
+
+
 def test_submit_and_wait(run: Run, service: LiveService, environment: str, tmp_path: Path) -> None:
     def work() -> None:
         while not (queued := service.backend.jobs.page(label="waited").items):

@@ -124,7 +124,9 @@ def test_metrics(service: LiveService, http: httpx.Client, submit) -> None:
     assert "prtbake_http_request_seconds_bucket" in text
 
 
-@pytest.mark.parametrize("path", ["/", "/static/app.js", "/static/api.js", "/static/style.css"])
+@pytest.mark.parametrize(
+    "path", ["/", "/static/app.js", "/static/api.js", "/static/style.css", "/static/frontier.js"]
+)
 def test_the_page_and_its_parts(service: LiveService, path: str) -> None:
     answer = get(service, path)
     assert answer.status_code == 200
@@ -137,7 +139,13 @@ def test_the_page_holds_no_secret_and_nothing_foreign(service: LiveService) -> N
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
     assert service.key not in answer.text
-    for path in ("/", "/static/app.js", "/static/api.js", "/static/style.css"):
+    for path in (
+        "/",
+        "/static/app.js",
+        "/static/api.js",
+        "/static/style.css",
+        "/static/frontier.js",
+    ):
         text = get(service, path).text
         assert "https://" not in text
         assert "innerHTML" not in text

@@ -54,6 +54,7 @@ class SharedStages:
         self._seen: Results | None = None
         self._shares: list[Share] = []
         self._dealt = 0
+        self._listed: dict[str, list[list[Task]]] = {}
 
     def stages(self) -> list[Stage]:
         """List the common stages."""
@@ -71,6 +72,7 @@ class SharedStages:
         if results is not self._seen:
             self._seen, self._dealt = results, 0
             self._shares = [Share() for _ in self._jobs]
+            self._listed = {}
         try:
             while self._dealt < len(self._order) and self._order[self._dealt] in results:
                 self._deal(self._order[self._dealt], results)
@@ -92,7 +94,9 @@ class SharedStages:
 
         def tasks(results: Results) -> list[Task]:
             once: dict[str, Task] = {}
-            for own in self._tasks(name, self.shares(results)):
+            shares = self.shares(results)
+            self._listed[name] = self._tasks(name, shares)
+            for own in self._listed[name]:
                 for task in own:
                     once.setdefault(task.key, task)
             return list(once.values())
@@ -108,7 +112,7 @@ class SharedStages:
         ]
 
     def _deal(self, name: str, results: Results) -> None:
-        tasks = self._tasks(name, self._shares)
+        tasks = self._listed.pop(name, None) or self._tasks(name, self._shares)
         place: dict[str, int] = {}
         for own in tasks:
             for task in own:
