@@ -33,7 +33,13 @@ def ball(store):
         settings={
             "bake": {"n_centres": 42},
             "render": {"width": 16, "height": 16},
-            "validation": {"width": 24, "height": 18, "passes": 2, "samples": 8},
+            "validation": {
+                "width": 24,
+                "height": 18,
+                "passes": 2,
+                "samples": 8,
+                "cameras": [{"name": "front"}],
+            },
         },
     )
     context = ball_context(store, request)
