@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import CorruptArtefact, InputError, SettingsError
@@ -15,6 +16,7 @@ from prtbake_storage.hdf5.resources import read_mesh
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.hdf5.writer import write_asset
 from prtbake_workers.jobs import report
+from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.plan import repairs
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stages
@@ -91,6 +93,27 @@ def test_directions_that_do_not_resolve_the_basis_are_not_reported_as_exact(stor
     assert any(
         "96 directions do not resolve 162 SRBFs" in note for note in gathered["plan"]["notes"]
     )
+
+
+def test_the_report_says_what_a_step_more_would_cost(glossy_asset, store):
+    """As the plan of the same request at that quality predicts it, from the BRDF itself."""
+    request, context, results = glossy_asset
+    written = results["report"][0]
+    ladder = json.loads(store.read_bytes(written["json"]))["ladder"]
+    (own,) = (step for step in ladder if step["quality"] is None)
+    (more,) = (step for step in ladder if step["quality"] == "low")  # draft is the lowest
+    body = job_request_adapter.validate_python(request | {"kind": "asset", "quality": "low"})
+    expected = predict(body, body.model_dump(mode="json"), context, store)
+    terms = [part["n_terms"] for part in expected.plan["parts"]]
+    assert more["terms"] == terms
+    assert terms[0] > own["terms"][0]
+    assert more["asset_bytes"] == expected.artefact_bytes["asset.h5"]
+    making = [s for name, s in expected.seconds.items() if name not in ("render", "validate")]
+    assert more["seconds"] == pytest.approx(sum(making))
+    assert more["seconds"] > own["seconds"]
+    assert own["measured_bytes"] == results["quantise"][0]["bytes"]
+    assert own["measured_seconds"] > 0
+    assert "A step more or less" in store.read_bytes(written["html"]).decode()
 
 
 def test_every_stage_says_the_bytes_that_it_left(glossy_asset, store):

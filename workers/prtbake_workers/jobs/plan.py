@@ -3,10 +3,11 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.settings import BakeSettings, Effects, Quality
+from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
@@ -31,6 +32,7 @@ from prtbake_workers.jobs.scene_file import (
 from prtbake_workers.planning.cluster_limit import cluster_note
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.grain import Grain, grain_notes
+from prtbake_workers.planning.ladder_steps import ladder_steps, neighbours
 from prtbake_workers.planning.light_resolution import choose_light_resolution
 from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan, occluders_of
 from prtbake_workers.planning.presets import StageSettings
@@ -76,7 +78,19 @@ def arguments(
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
         "quality": quality,
+        "steps": _steps(request),
         "seed": request.get("seed", 0),
+    }
+
+
+def _steps(request: dict[str, Any]) -> dict[str, Any]:
+    """Give the settings of the qualities beside that of an asset."""
+    if "quality" not in request:
+        return {}
+    overrides = AssetSettings.model_validate(request.get("settings", {}))
+    return {
+        quality: settings.to_dict()
+        for quality, settings in neighbours(request["quality"], overrides).items()
     }
 
 
@@ -160,16 +174,15 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         settings, notes = replace(settings, bake=chosen.bake), chosen.notes
         probe_bytes = chosen.memory_bytes
         effects.append(chosen.decision)
-    plan = make_plan(
+    spectra = [factorisation.singular_values for factorisation in factorisations]
+    lay_out = partial(
+        make_plan,
         scene,
         names,
-        part_terms,
-        effects,
-        settings,
-        args["quality"],
+        effects=effects,
         roles=roles,
         chunk_vertices=transfer_chunk_vertices,
-        spectra=[factorisation.singular_values for factorisation in factorisations],
+        spectra=spectra,
         notes=[
             *notes,
             *_term_notes(names, factorisations),
@@ -189,6 +202,23 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scattering=dict(zip(scattering.parts, scattering.limits, strict=True)),
         n_oriented=sum(own is not None for own in grain),
         probe_bytes=probe_bytes,
+    )
+
+    def cost_of(
+        terms: list[int], settings: StageSettings, quality: Quality
+    ) -> tuple[dict[str, float], int]:
+        other = lay_out(part_terms=terms, settings=settings, quality=quality)
+        return other.seconds, other.artefact_bytes["asset.h5"]
+
+    steps = ladder_steps(
+        {quality: StageSettings.from_dict(step) for quality, step in args["steps"].items()},
+        part_terms,
+        spectra,
+        cost_of,
+        view_dependent=view_dependent,
+    )
+    plan = replace(
+        lay_out(part_terms=part_terms, settings=settings, quality=args["quality"]), ladder=steps
     )
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan

@@ -7,6 +7,7 @@ from prtbake_storage.blobs.base import referenced_digests
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
 from prtbake_workers.jobs import bounce
+from prtbake_workers.planning.ladder_steps import making_seconds
 from prtbake_workers.report.account import (
     StageAccount,
     make_report,
@@ -65,12 +66,30 @@ def gather(title: str, results: Results) -> dict[str, Any]:
         else [],
         "light_notes": results["fit_light"][0]["notes"] if "fit_light" in results else [],
         "settings": results["plan"][0].get("settings", {}) if "plan" in results else {},
+        "ladder": _ladder(results, plan),
         "sizes": {
             f"{name}.h5": results[stage][0]["bytes"]
             for stage, name in (("join", "transfer"), ("quantise", "asset"), ("fit_light", "light"))
             if stage in results
         },
     }  # fmt: skip
+
+
+def _ladder(results: Results, plan: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """Say what the qualities beside an asset's own are predicted to cost, and this one did."""
+    if plan is None or not plan.get("ladder") or "quantise" not in results:
+        return []
+    measured = {name: stage_cost(name, results)["seconds"] for name in results}
+    own = {
+        "quality": None,
+        "seconds": making_seconds(plan["seconds"]),
+        "asset_bytes": plan["artefact_bytes"]["asset.h5"],
+        "terms": [part["n_terms"] for part in plan["parts"]],
+        "measured_seconds": making_seconds(measured),
+        "measured_bytes": results["quantise"][0]["bytes"],
+    }
+    others = [step | {"measured_seconds": None, "measured_bytes": None} for step in plan["ladder"]]
+    return sorted([own, *others], key=lambda step: step["seconds"])
 
 
 def _numerics(results: Results) -> dict[str, Any]:
@@ -151,6 +170,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         transfer=args["transfer"],
         bounces=args["bounces"],
         settings=args["settings"],
+        ladder=args["ladder"],
         notes=notes,
     )
     pictures = {

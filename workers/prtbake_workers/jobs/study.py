@@ -9,6 +9,7 @@ from prtbake_storage.contract.study import Values, describe
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs import report, study_report, transfer_error
 from prtbake_workers.jobs.shared_stages import Share, SharedStages
+from prtbake_workers.planning.ladder_steps import CHECKS
 from prtbake_workers.report.account import pooled_budget
 
 Build = Callable[[dict[str, Any], dict[str, Any]], list[Stage]]
@@ -20,8 +21,6 @@ FILES = {
     "asset": ("quantise", "asset.h5"),
 }
 """Kind -> the stage that tells the size of its file, and the file's name."""
-CHECKS = ("render", "validate")
-"""Stages that show an asset and make nothing of it."""
 MEASURE = "measure"
 """The study's own stage, behind those of a compression."""
 

@@ -33,6 +33,7 @@ from prtbake_workers.planning.cost import (
     validate_seconds,
 )
 from prtbake_workers.planning.decision import Decision
+from prtbake_workers.planning.ladder_steps import LadderStep
 from prtbake_workers.planning.presets import (
     PartCompression,
     PlannedBake,
@@ -114,6 +115,8 @@ class Plan:
     artefact_bytes: dict[str, int]
     memory_bytes: dict[str, int]
     notes: tuple[str, ...]
+    ladder: tuple[LadderStep, ...] = ()
+    """Of an asset, the qualities beside its own."""
 
     @property
     def peak_memory_bytes(self) -> int:

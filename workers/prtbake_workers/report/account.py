@@ -136,6 +136,7 @@ def make_report(
     numerics: Mapping[str, Any] | None = None,
     bounces: Mapping[str, Any] | None = None,
     transfer: Mapping[str, Any] | None = None,
+    ladder: Sequence[Mapping[str, Any]] = (),
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""
@@ -183,5 +184,6 @@ def make_report(
         "transfer": dict(transfer) if transfer else None,
         "numerics": dict(numerics or {}),
         "settings": dict(settings or {}),
+        "ladder": [dict(step) for step in ladder],
         "notes": list(notes),
     }

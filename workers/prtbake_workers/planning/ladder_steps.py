@@ -1,0 +1,96 @@
+"""What one step more or less on the ladder of qualities would cost the same scene."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Quality
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.planning.presets import StageSettings, resolve_stages
+
+CHECKS = ("render", "validate")
+"""Stages that show an asset and make nothing of it: their seconds are not its price."""
+
+
+@dataclass(frozen=True)
+class LadderStep:
+    """A quality and what it is predicted to cost: work in seconds, bytes of ``asset.h5``."""
+
+    quality: Quality
+    seconds: float
+    asset_bytes: int
+    terms: tuple[int, ...]
+    """Of each part."""
+
+
+def neighbours(quality: Quality, overrides: AssetSettings) -> dict[Quality, StageSettings]:
+    """Resolve the qualities beside one, with the same overrides; what they forbid is left out."""
+    ladder = list(get_args(Quality))
+    at = ladder.index(quality)
+    found: dict[Quality, StageSettings] = {}
+    for other in (*ladder[max(0, at - 1) : at], *ladder[at + 1 : at + 2]):
+        try:
+            found[other] = resolve_stages(other, overrides)
+        except SettingsError:
+            continue
+    return found
+
+
+def terms_at(
+    own: int, singular_values: Float64[F64, " values"], bake: BakeSettings, *, view_dependent: bool
+) -> int:
+    """Predict the terms of a part of ``own`` terms at other settings, from its BRDF's spectrum.
+
+    A pair of terms that belong together may be counted as one.
+    """
+    if not view_dependent or bake.view_order is not None:
+        return own
+    if bake.n_terms is not None:
+        return min(bake.n_terms, len(singular_values))
+    energy = singular_values**2
+    left = energy.sum() - np.cumsum(energy)
+    return int(np.argmax(left <= (bake.term_energy_lost or 0.0) * energy.sum())) + 1
+
+
+def ladder_steps(
+    steps: Mapping[Quality, StageSettings],
+    own_terms: Sequence[int],
+    spectra: Sequence[Float64[F64, " _"]],
+    cost_of: Callable[[list[int], StageSettings, Quality], tuple[Mapping[str, float], int]],
+    *,
+    view_dependent: bool,
+) -> tuple[LadderStep, ...]:
+    """Predict the same scene at other qualities.
+
+    Parameters
+    ----------
+    steps
+        Their settings; those that leave numbers to a trial are not predicted.
+    own_terms, spectra
+        Of each part: its terms as planned, and the singular values of its BRDF.
+    cost_of
+        Seconds by stage and bytes of the asset, from terms, settings and quality; where it raises a
+        `SettingsError` that step cannot be run, and is left out.
+    """
+    found = []
+    for quality, settings in steps.items():
+        if settings.bake.open_numbers:
+            continue
+        terms = [
+            terms_at(own, values, settings.bake, view_dependent=view_dependent)
+            for own, values in zip(own_terms, spectra, strict=True)
+        ]
+        try:
+            seconds, asset_bytes = cost_of(terms, settings, quality)
+        except SettingsError:
+            continue
+        found.append(LadderStep(quality, making_seconds(seconds), asset_bytes, tuple(terms)))
+    return tuple(found)
+
+
+def making_seconds(seconds: Mapping[str, float]) -> float:
+    """Add up what an asset's stages take, without those that only show it."""
+    return sum((value for stage, value in seconds.items() if stage not in CHECKS), start=0.0)
