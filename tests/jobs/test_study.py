@@ -158,7 +158,9 @@ def test_the_frontiers_are_what_comparing_all_with_all_finds(table):
         ]
         assert sorted(table["frontier"][cost]) == best
     # the fewest bytes and the least error always stand there
-    assert {0, 5} <= set(table["frontier"]["bytes"])
+    for figure in ("bytes", "error"):
+        extreme = min(table["points"], key=lambda point: point[figure])
+        assert extreme["point"] in table["frontier"]["bytes"]
 
 
 def test_the_csv_holds_the_same(compressed, table, store):
@@ -237,6 +239,25 @@ def test_what_only_planning_can_refuse(compression, store):
     request, context = study_of(base, {"settings.method": ["cpca"]}, own, skip_illegal=True)
     with pytest.raises(SettingsError, match="no point can be run"):
         run_stages(REGISTRY.stages("study", request, context), store)
+
+
+def test_points_that_are_rounded_otherwise_share_their_factors(compression, store):
+    base, own = compression
+    axes = {"settings.n_clusters": [4], "settings.bits": [8, 16]}
+    request, context = study_of(base, axes, own)
+    done = run_stages(REGISTRY.stages("study", request, context), store)
+    assert [len(done[name]) for name in ("compress", "quantise", "measure")] == [1, 2, 2]
+    points = json.loads(store.read_bytes(done["report"][0]["files"]["study.json"]))["points"]
+    assert points[0]["bytes"] < points[1]["bytes"]
+    assert points[0]["error"] > points[1]["error"] > 0
+    assert points[0]["stages"]["compress"]["shared_seconds"] > 0
+    # no bits meet so small a bound: the file's writing is the first to see it
+    axes = {"settings.max_quantisation_error": [1e-2, 1e-30]}
+    request, context = study_of(base, axes, own, skip_illegal=True)
+    done = run_stages(REGISTRY.stages("study", request, context), store)
+    (skipped,) = json.loads(store.read_bytes(done["report"][0]["files"]["study.json"]))["skipped"]
+    assert skipped["point"] == 1
+    assert "16 bits" in skipped["reason"]
 
 
 def test_a_study_taken_up_again_asks_for_the_same_tasks(compressed):

@@ -15,11 +15,15 @@ from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import compress, plan
 
 _MODULE = "prtbake_workers.jobs.shared_stages"
-PLANNING = {
+REFUSING = {
     "prtbake_workers.jobs.plan:plan": plan.plan,
     "prtbake_workers.jobs.compress:outline": compress.outline,
+    "prtbake_workers.jobs.compress:assemble": compress.assemble,
 }
-"""Tasks that refuse what only the inputs tell to be illegal, as clustered PCA of many terms."""
+"""Tasks that refuse what only the inputs tell to be illegal, as clustered PCA of many terms.
+
+Planning, and the last of compression, which is quick: each runs anew in a job of its own.
+"""
 
 
 @dataclass
@@ -41,7 +45,7 @@ class SharedStages:
     names
         What sentences call each job.
     skip_refused
-        Go on without jobs whose planning refuses them, instead of failing with their error.
+        Go on without jobs that a task of theirs refuses, instead of failing with its error.
     """
 
     def __init__(
@@ -66,8 +70,8 @@ class SharedStages:
         Raises
         ------
         InputError
-            Naming the job, where its planning refused it and refused ones are not skipped, or where
-            all are refused.
+            Naming the job, where a task refused it and refused ones are not skipped, or where all
+            are refused.
         """
         if results is not self._seen:
             self._seen, self._dealt = results, 0
@@ -163,16 +167,16 @@ def merged(lists: Sequence[Sequence[str]]) -> list[str]:
 
 
 def attempted(task: Task) -> Task:
-    """Turn a task of planning into one whose refusal is a result and not the job's end."""
-    if task.function not in PLANNING:
+    """Turn a task that may refuse into one whose refusal is a result and not the job's end."""
+    if task.function not in REFUSING:
         return task
     args = {"function": task.function, "args": task.args}
     return replace(task, function=f"{_MODULE}:attempt", args=args)
 
 
 def attempt(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
-    """Task: plan a job, or say why it cannot be."""
+    """Task: do what another does, or say why it refuses."""
     try:
-        return {"attempted": PLANNING[args["function"]](args["args"], context)}
+        return {"attempted": REFUSING[args["function"]](args["args"], context)}
     except InputError as error:
         return {"refused": {"detail": error.detail, "pointer": error.pointer}}
