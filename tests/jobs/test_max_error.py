@@ -10,7 +10,7 @@ from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.jobs.compress import standalone_stages
-from prtbake_workers.jobs.delivered import delivered_error, write_delivered
+from prtbake_workers.jobs.delivered import delivered_errors, write_delivered
 from prtbake_workers.jobs.rounding import options
 from support.local_stages import run_stages
 from support.transfer_file import write_transfer
@@ -38,7 +38,9 @@ def test_every_part_ends_within_a_tenth_below_the_error(store, transfer, method,
         error = areas @ np.sum((reconstruct(part, slice(None)) - rows) ** 2, axis=(1, 2))
         ratio = error / (areas @ np.sum(rows**2, axis=(1, 2)))
         assert 0.9 * asked < ratio <= asked
-        assert results["quantise"][0]["delivered"][part.name] == pytest.approx(ratio, rel=1e-6)
+        assert results["quantise"][0]["delivered"]["parts"][part.name] == pytest.approx(
+            ratio, rel=1e-6
+        )
     assert delivered.provenance["compress"]["max_error"] == asked
 
 
@@ -55,7 +57,7 @@ def test_rounding_steps_back_where_the_file_errs_by_more(store, transfer, tmp_pa
     results = compressed(store, transfer, method="cpca", max_error=0.02)["quantise"][0]
     exact = read_asset(store.local_path(results["exact"]))
     with open_transfer(store.local_path(transfer)) as file:
-        errors = [delivered_error(file, index, part) for index, part in enumerate(exact.parts)]
+        errors = list(delivered_errors(file, exact)["parts"].values())
         energies = [
             float(part.areas @ np.sum(file.read(index).astype(float) ** 2, axis=(1, 2)))
             / float(part.areas.sum())
@@ -65,7 +67,7 @@ def test_rounding_steps_back_where_the_file_errs_by_more(store, transfer, tmp_pa
 
         def written(asked, left):
             given = args | {"max_error": asked, "left": left}
-            return write_delivered(tmp_path / "asset.h5", exact, file, given)[1]
+            return write_delivered(tmp_path / "asset.h5", exact, file, given)[1]["parts"]
 
         asked = 1.1 * max(errors)
         honest = written(asked, errors)

@@ -76,7 +76,7 @@ def _compressed(title: str, store: BlobStore, transfer: str, asked: float) -> Ta
     results = run_stages(standalone_stages(transfer, CompressSettings(max_error=asked), 0), store)
     made = results["quantise"][0]
     seconds = sum(cost.seconds for name in results for cost in results.measured(name))
-    return Target(title, asked, max(made["delivered"].values()), made["bytes"], seconds)
+    return Target(title, asked, max(made["delivered"]["parts"].values()), made["bytes"], seconds)
 
 
 def statements(found: Sequence[Target]) -> list[tuple[bool, str]]:

@@ -68,6 +68,8 @@ def compress_to_error(
     sizes: Sizes,
     fit: Fit,
     target: float,
+    *,
+    kept: float = 0.0,
 ) -> Compressed:
     """Compress the transfer of one part to a squared-error ratio just below a target.
 
@@ -80,12 +82,14 @@ def compress_to_error(
         vector quantisation scales its clusters.
     target
         Squared-error ratio, weighted, in (0, 1).
+    kept
+        Share of the target, in [0, 1), that is kept for errors of others.
 
     Returns
     -------
     Compressed
-        At most at the target.  Vector quantisation, whose clusters are few and whole, ends near it;
-        the others end within a column of it.
+        At most at the target less what is kept.  Vector quantisation, whose clusters are few and
+        whole, ends near it; the others end within a column of it.
 
     Raises
     ------
@@ -97,6 +101,7 @@ def compress_to_error(
             f"an error of {target} cannot be aimed at: it lies above 0 and below 1",
             pointer="/max_error",
         )
+    asked, target = target, (1.0 - kept) * target
     start = replace(
         Scaled(sizes.n_clusters, sizes.ranks, sizes.n_components),
         ranks=_view_first(coefficients, sizes.ranks, fit, target)
@@ -118,7 +123,7 @@ def compress_to_error(
     meeting = [(ratio, scaled) for scaled, ratio in tried if ratio <= target]
     if not meeting:
         raise SettingsError(
-            f"a squared error of {target:.3g} cannot be met by {method}: the best of {len(tried)} "
+            f"a squared error of {asked:.3g} cannot be met by {method}: the best of {len(tried)} "
             f"trials leaves {best:.3g}; take another method, more clusters or a larger error",
             pointer="/max_error",
         )

@@ -26,9 +26,9 @@ from prtbake_workers.jobs.rounding import options
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 
 _MODULE = "prtbake_workers.jobs.compress"
-COMPRESSION_SHARE = 0.9
-"""Of an error that is asked for; rounding takes the rest.  A tenth saves it a quarter of the bytes
-and costs compression some per cent of them."""
+ROUNDING_SHARE = 0.1
+"""Of an error that is asked for: saves rounding a quarter of the bytes and costs compression some
+per cent of them."""
 
 READ_VERTS = 2048
 """Vertices read at a time, so that 16-bit and 32-bit copies do not lie side by side in full."""
@@ -44,7 +44,7 @@ def stages(
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
     rounding = options(settings)
-    share = COMPRESSION_SHARE if settings.bits == "auto" else 1.0
+    kept = ROUNDING_SHARE if settings.bits == "auto" else 0.0
 
     def parts(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
@@ -56,7 +56,8 @@ def stages(
                     "part": index,
                     "compression": compression,
                     "max_iterations": settings.max_iterations,
-                    "max_error": settings.max_error and share * settings.max_error,
+                    "max_error": settings.max_error,
+                    "kept": kept,
                     "seed": seed,
                 },
                 label=f"part {index}",
@@ -166,8 +167,10 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         progress=progress,
     )
     inputs = compression.method, coefficients, compression, fit
-    asked = args["max_error"]
-    compressed = compress(*inputs) if asked is None else compress_to_error(*inputs, asked)
+    if args["max_error"] is None:
+        compressed = compress(*inputs)
+    else:
+        compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])
     model = compressed.model
     header = {"method": compression.method}
     path = write_bundle(context.scratch / "factors.h5", compressed.factors, header)

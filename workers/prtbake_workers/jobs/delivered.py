@@ -23,7 +23,7 @@ ROUNDING_TRIES = (1.0, 0.5, 0.0)
 
 def write_delivered(
     path: Path, exact: Asset, transfer: TransferFile, args: dict[str, Any]
-) -> tuple[Rounded, dict[str, float]]:
+) -> tuple[Rounded, dict[str, Any]]:
     """Write the rounded asset; where an error is asked for, let rounding fill what is left of it.
 
     Parameters
@@ -36,7 +36,8 @@ def write_delivered(
     Returns
     -------
     Rounded, dict
-        The asset as it reads, and the squared-error ratio of each part by its name.
+        The asset as it reads, and its squared-error ratios: ``error`` of all parts together, and
+        ``parts``, of each by its name; 0 where there is no transfer.
 
     Raises
     ------
@@ -54,27 +55,39 @@ def write_delivered(
                 )
             ]
         rounded = write_rounded(path, exact, transfer, args["rounding"], left, allowed)
-        errors = {
-            part.name: delivered_error(transfer, index, part)
-            for index, part in enumerate(rounded.asset.parts)
+        delivered = delivered_errors(transfer, rounded.asset)
+        over = {
+            name: error for name, error in delivered["parts"].items() if asked and error > asked
         }
-        over = {name: error for name, error in errors.items() if asked and error > asked}
         if not over:
-            return rounded, errors
+            return rounded, delivered
     name, error = next(iter(over.items()))
     raise RuntimeError(f"{name} errs by {error}, above the {asked} that was asked for")
 
 
-def delivered_error(transfer: TransferFile, index: int, part: Part) -> float:
-    """Measure the squared-error ratio of a part's factors, rounding included, weighted by area.
+def delivered_errors(transfer: TransferFile, asset: Asset) -> dict[str, Any]:
+    """Measure the squared-error ratios of an asset's factors, weighted by area, as above.
 
     Parameters
     ----------
     transfer
         An open file.
-    index, part
-        The part's number, and the part as readers see it.
+    asset
+        As readers see it.
     """
+    found = [_squares(transfer, index, part) for index, part in enumerate(asset.parts)]
+    errors, energies = zip(*found, strict=True)
+    return {
+        "error": _ratio(sum(errors), sum(energies)),
+        "parts": {
+            part.name: _ratio(error, energy)
+            for part, (error, energy) in zip(asset.parts, found, strict=True)
+        },
+    }
+
+
+def _squares(transfer: TransferFile, index: int, part: Part) -> tuple[float, float]:
+    """Sum the squared error and the squared norm of a part's transfer by area."""
     areas = transfer.header.parts[index].areas
     error = energy = 0.0
     for start in range(0, part.n_vertices, READ_VERTS):
@@ -83,4 +96,8 @@ def delivered_error(transfer: TransferFile, index: int, part: Part) -> float:
         difference = reconstruct(part, verts) - rows
         error += float(areas[verts] @ np.square(difference, dtype=np.float64).sum(axis=(1, 2)))
         energy += float(areas[verts] @ np.square(rows, dtype=np.float64).sum(axis=(1, 2)))
+    return error, energy
+
+
+def _ratio(error: float, energy: float) -> float:
     return error / energy if energy > 0.0 else 0.0

@@ -15,14 +15,17 @@ from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import compress, plan
 
 _MODULE = "prtbake_workers.jobs.shared_stages"
+FITTING = "prtbake_workers.jobs.compress:compress_part"
 REFUSING = {
     "prtbake_workers.jobs.plan:plan": plan.plan,
     "prtbake_workers.jobs.compress:outline": compress.outline,
+    FITTING: compress.compress_part,
     "prtbake_workers.jobs.compress:assemble": compress.assemble,
 }
-"""Tasks that refuse what only the inputs tell to be illegal, as clustered PCA of many terms.
+"""Tasks that refuse what only the inputs tell to be illegal, as an error that no sizes meet.
 
-Planning, and the last of compression, which is quick: each runs anew in a job of its own.
+They run anew in a job of its own: planning, and the last of compression, which is quick, and
+compression itself only where it is asked for an error.
 """
 
 
@@ -168,7 +171,8 @@ def merged(lists: Sequence[Sequence[str]]) -> list[str]:
 
 def attempted(task: Task) -> Task:
     """Turn a task that may refuse into one whose refusal is a result and not the job's end."""
-    if task.function not in REFUSING:
+    is_fit = task.function == FITTING and task.args["max_error"] is None
+    if task.function not in REFUSING or is_fit:
         return task
     args = {"function": task.function, "args": task.args}
     return replace(task, function=f"{_MODULE}:attempt", args=args)

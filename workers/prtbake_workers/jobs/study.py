@@ -1,13 +1,12 @@
 """Job kind ``study``: a request at every point of a grid, and what its accuracy costs."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from prtbake_storage.contract.jobs import StudyPoint, StudyRequest
 from prtbake_storage.contract.study import Values, describe
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
-from prtbake_workers.jobs import report, study_report, transfer_error
+from prtbake_workers.jobs import report, study_report
 from prtbake_workers.jobs.shared_stages import Share, SharedStages
 from prtbake_workers.planning.ladder_steps import CHECKS
 from prtbake_workers.report.account import pooled_budget
@@ -21,8 +20,6 @@ FILES = {
     "asset": ("quantise", "asset.h5"),
 }
 """Kind -> the stage that tells the size of its file, and the file's name."""
-MEASURE = "measure"
-"""The study's own stage, behind those of a compression."""
 
 
 class Study:
@@ -42,9 +39,6 @@ class Study:
                 continue
             own = context["contexts"][place["context"]]
             stages = kinds[self.kind](point.request.model_dump(mode="json"), own)
-            if self.kind == "compress":
-                transfer = own["artefacts"]["transfer"]["digest"]
-                stages = [*stages, Stage(MEASURE, "points", 3.0, partial(_measure, transfer))]
             self.points.append(point)
             jobs.append(stages)
         self.shared = SharedStages(
@@ -78,10 +72,6 @@ class Study:
         }
 
 
-def _measure(transfer: str, own: Results) -> list[Task]:
-    return [transfer_error.task(transfer, own["quantise"][0]["asset"])]
-
-
 def account(
     kind: str, index: int, values: Values, share: Share, shared: set[str]
 ) -> dict[str, Any]:
@@ -97,8 +87,6 @@ def account(
     errors: dict[str, dict[str, float]] = {}
     peak = 0
     for name in own:
-        if name == MEASURE:
-            continue
         costs = list(zip(own.measured(name), share.keys[name], strict=True))
         stages[name] = {
             "seconds": sum((cost.seconds for cost, _ in costs), start=0.0),
@@ -132,7 +120,7 @@ def _error(kind: str, own: Results) -> tuple[float | None, float | None]:
     """Give the error that the frontier is of, and its noise: see `study_report.ERROR_IS`."""
     match kind:
         case "compress":
-            return own[MEASURE][0]["error"], None
+            return own["quantise"][0]["delivered"]["error"], None
         case "fit_light":
             return own["fit_light"][0]["errors"]["light"], None
         case "bake":
