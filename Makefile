@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure7 results effects targets sloan mitsuba serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan mitsuba serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -60,6 +60,9 @@ format: setup ## Format and mend what can be mended
 bench: setup ## Speed, memory and error beside a limit measured in the same run
 	$(BIN)/python tests/benchmarks/run.py
 
+figure4: setup ## Tsai and Shih's figure 4 in numbers: lights of as many parameters, in figure4-output/
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m figures.figure4 --to figure4-output
+
 figure7: setup ## Sloan's figure 7 in numbers: hemispherical projections compared, in figure7-output/
 	PYTHONPATH=tests $(BIN)/python -m figures.figure7 --to figure7-output
 
@@ -95,4 +98,4 @@ lock: ## Pin and hash the requirements (needs uv)
 	uv pip compile -q pyproject.toml --python-version 3.11 --extra workers --group dev --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o requirements/dev.txt
 
 clean: ## Remove what the other targets built
-	rm -rf $(VENV) site demo-output figure7-output results-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) site demo-output figure4-output figure7-output results-output dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

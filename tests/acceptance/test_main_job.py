@@ -11,7 +11,7 @@ from PIL import Image
 from prtbake import Asset, InvalidRequest
 from prtbake_storage.contract.jobs import JobState
 from prtbake_storage.decode.relight import project_light, rotation_matrix
-from prtbake_storage.hdf5.resources import read_light
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from support.deployment import Installation, until
 from support.main_job import GLOSSY, HEAVY_BAKE, SETTINGS, Finished, main_request

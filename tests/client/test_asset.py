@@ -8,11 +8,12 @@ import pytest
 
 from prtbake import Asset
 from prtbake_storage.decode.asset import Asset as Arrays
-from prtbake_storage.decode.asset import LightFit, Part
+from prtbake_storage.decode.asset import Part
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_storage.decode.transfer_basis import WhitenedSrbfs
 from prtbake_storage.errors import CorruptArtefact
-from prtbake_storage.hdf5.resources import write_light
+from prtbake_storage.hdf5.light import write_light
 from prtbake_storage.hdf5.writer import write_asset
 
 VERTS, COEFFS, BANDWIDTH = 6, 12, 4.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prtbake.asset import Asset
-from prtbake_storage.decode.asset import LightFit
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_storage.decode.sh import eval_sh
 from prtbake_storage.decode.srbf import gaussian, product_matrix

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prtbake.asset import Asset
-from prtbake_storage.decode.asset import LightFit
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.basis.sh import HemisphereBasis
 from prtbake_workers.brdf.factorise import factorise

@@ -54,6 +54,17 @@ def test_overrides_replace_only_the_fields_given():
     assert changed.compress == plain.compress
 
 
+def test_a_light_of_another_method_leaves_the_lobes_of_the_quality():
+    step = resolve_stages("low", AssetSettings(fit_light={"max_iterations": None})).fit_light
+    assert (step.n_lobes, step.max_iterations) == (64, 3)
+    other = resolve_stages("low", AssetSettings(fit_light={"method": "sh"})).fit_light
+    assert (other.sh_order, other.n_lobes, other.max_iterations) == (18, None, None)
+    target = resolve_stages("low", AssetSettings(fit_light={"max_error": 0.02})).fit_light
+    assert (target.n_lobes, target.max_iterations) == (642, 3)
+    both = {"max_error": 0.02, "n_lobes": 50}
+    assert resolve_stages("low", AssetSettings(fit_light=both)).fit_light.n_lobes == 50
+
+
 def test_numbers_left_open_are_told_from_those_that_a_quality_sets():
     plain = resolve_stages("draft", AssetSettings())
     assert (plain.planned_bake.cube_resolution, plain.planned_bake.n_centres) == (16, 162)

@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prtbake_storage.decode.asset import LightFit
 from prtbake_storage.errors import CorruptArtefact
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.resources import (
     EnvironmentFile,
     MeshFile,
     read_environment,
-    read_light,
     read_mesh,
     write_environment,
-    write_light,
     write_mesh,
 )
 
@@ -81,24 +79,6 @@ def test_an_environment_comes_back(rng: np.random.Generator, tmp_path: Path) -> 
     write_environment(tmp_path / "e.h5", EnvironmentFile(-radiance))
     with pytest.raises(CorruptArtefact, match="negative"):
         read_environment(tmp_path / "e.h5")
-
-
-def test_a_light_comes_back(rng: np.random.Generator, tmp_path: Path) -> None:
-    light = LightFit(
-        centres=unit(rng, 7), bandwidths=rng.random(7) + 1, coefficients=rng.normal(size=(7, 3)),
-        error=0.25, provenance={"seed": 1},
-    )  # fmt: skip
-    write_light(tmp_path / "l.h5", light)
-    back = read_light(tmp_path / "l.h5")
-    np.testing.assert_array_equal(back.centres, light.centres)
-    np.testing.assert_array_equal(back.bandwidths, light.bandwidths)
-    np.testing.assert_array_equal(back.coefficients, light.coefficients)
-    assert (back.error, back.provenance) == (0.25, {"seed": 1})
-    write_light(tmp_path / "l.h5", replace(light, bandwidths=-light.bandwidths))
-    with pytest.raises(CorruptArtefact, match="/light/bandwidths"):
-        read_light(tmp_path / "l.h5")
-    with pytest.raises(CorruptArtefact, match="kind"):
-        read_mesh(tmp_path / "l.h5")
 
 
 def test_a_file_that_is_no_hdf5_is_corrupt_and_an_absent_one_is_absent(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.procedural import constant
+from prtbake_workers.environment.subdivision import subdivided_texels
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.scene import Scene
@@ -26,7 +27,6 @@ from prtbake_workers.transport.interreflection import bounce_series
 from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import trace_paths
-from prtbake_workers.validation.light import subdivided_texels
 from support.bounce_scenes import (
     ball,
     ball_lights_plane,

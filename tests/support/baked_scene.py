@@ -12,7 +12,8 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from prtbake_storage.contract.settings import Camera, ValidateSettings
-from prtbake_storage.decode.asset import Asset, LightFit, Part
+from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.light import LightFit
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.view_texture import fit_view_texture
 from prtbake_workers.environment.fit import fit_environment

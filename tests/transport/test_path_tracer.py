@@ -12,6 +12,7 @@ from prtbake_workers.brdf.phong import Phong
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.procedural import constant, one_texel_sun
 from prtbake_workers.environment.sampling import EnvironmentSampler
+from prtbake_workers.environment.subdivision import subdivided_texels
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.ray_offset import ray_epsilon
@@ -25,7 +26,7 @@ from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import trace_paths
 from prtbake_workers.transport.proposal import Proposal
 from prtbake_workers.transport.reference import blocks, to_local, visible_cosine
-from prtbake_workers.validation.light import draw_pass, subdivided_texels
+from prtbake_workers.validation.light import draw_pass
 from support.bounce_scenes import ball, disc, opaque, patch, turned_inside_out
 
 ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

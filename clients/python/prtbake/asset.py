@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prtbake_storage.decode import asset as arrays
+from prtbake_storage.decode import light as lights
 from prtbake_storage.decode.relight import (
     corner_colour,
     project_light,
@@ -16,13 +17,13 @@ from prtbake_storage.decode.relight import (
     shade,
 )
 from prtbake_storage.decode.texture import lookup_repeating
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.resources import read_light
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-Light = arrays.LightFit | Path | str
-"""A fitted light, or the ``light.h5`` that holds one."""
+Light = lights.Light | Path | str
+"""A fitted light, several in a `LightSum`, or the ``light.h5`` that holds one."""
 
 
 class Asset:

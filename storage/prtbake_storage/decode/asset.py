@@ -1,4 +1,4 @@
-"""What a compressed asset and a fitted light are, as plain numpy arrays.
+"""What a compressed asset is, as plain numpy arrays.
 
 An asset is one mesh cut into parts.  Every part has a material and the factors of its compressed
 transfer tensor T (terms x coeffs x verts), whose light axis is that of an orthonormal basis
@@ -246,21 +246,6 @@ class Asset:
             for name, value in part.nbytes.items():
                 sizes[name] = sizes.get(name, 0) + value
         return sizes
-
-
-@dataclass(frozen=True, kw_only=True)
-class LightFit:
-    """An environment as a sum of scattered Gaussian SRBFs, L(d) = sum_j L_j G(d . xi_j; lam_j).
-
-    ``centres`` (lobes, 3) unit, ``bandwidths`` (lobes,) positive, ``coefficients`` (lobes, 3)
-    linear RGB radiance; ``error`` is the squared-error ratio of the fit.  [Tsai2006]_ eq. (21).
-    """
-
-    centres: F64
-    bandwidths: F64
-    coefficients: F64
-    error: float = 0.0
-    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 def check_asset(asset: Asset) -> None:

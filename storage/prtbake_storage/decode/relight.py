@@ -17,7 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prtbake_storage.decode.asset import Asset, LightFit, Part
+from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.light import Light
 from prtbake_storage.decode.texture import lookup_repeating
 from prtbake_storage.decode.transfer_basis import TransferBasis
 from prtbake_storage.decode.view_map import hemi_octahedral, lookup
@@ -39,25 +40,24 @@ def rotation_matrix(rotation_deg: ArrayLike) -> F64:
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def project_light(basis: TransferBasis, light: LightFit, rotation: F64 | None = None) -> F64:
-    """Project a light onto an orthonormal basis: G^(-1/2) A L for whitened SRBFs.
+def project_light(basis: TransferBasis, light: Light, rotation: F64 | None = None) -> F64:
+    """Project a light onto an orthonormal basis: G^(-1/2) A L of lobes on whitened SRBFs.
 
     Parameters
     ----------
     basis
         That of the asset.
     light
-        Scattered SRBFs.
+        Of any kind, or several in one (`LightSum`).
     rotation
-        (3, 3); turns the light by turning the lobes' centres, which is exact.
+        (3, 3); turns the light.  Lobes and harmonics turn exactly.
 
     Returns
     -------
     ndarray
         (coeffs, 3) linear RGB, float64.
     """
-    centres = light.centres if rotation is None else light.centres @ rotation.T
-    return basis.light_of_lobes(centres, light.bandwidths, light.coefficients)
+    return light.on_basis(basis, rotation)
 
 
 def cluster_matrices(part: Part, light: F64) -> F32:

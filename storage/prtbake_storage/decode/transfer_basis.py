@@ -1,8 +1,8 @@
 """The orthonormal functions of incident light that transfer is projected on.
 
 Two kinds: whitened Gaussian SRBFs (`WhitenedSrbfs`) and real spherical harmonics
-(`SphericalHarmonics`).  Both turn the lobes of a fitted light into the coefficients that a vertex'
-transfer is multiplied by; that is all that a decoder asks of them.
+(`SphericalHarmonics`).  Both turn a light, given as lobes, harmonics or samples, into the
+coefficients that a vertex' transfer is multiplied by; that is all that a decoder asks of them.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.decode.gaussian_sh import gaussian_sh
-from prtbake_storage.decode.sh import MOST_ORDER
-from prtbake_storage.decode.srbf import Whitening, product_matrix, whitening
+from prtbake_storage.decode.sh import MOST_ORDER, eval_sh, order_of
+from prtbake_storage.decode.sh_turn import turn_sh
+from prtbake_storage.decode.srbf import Whitening, gaussian, product_matrix, whitening
 
 F64 = NDArray[np.float64]
 
 BasisKind = Literal["srbf", "sh"]
+
+LIGHT_CHUNK = 8192
+"""Samples a block while light is integrated: 40 MB at 642 functions."""
 
 
 @runtime_checkable
@@ -48,6 +52,19 @@ class TransferBasis(Protocol):
         ndarray
             (coeffs, channels): the integrals of the light with every function.
         """
+        ...
+
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between samples of light that resolve every function."""
+        ...
+
+    def light_of_harmonics(self, coefficients: F64, rotation: F64 | None = None) -> F64:
+        """Project spherical harmonics (n^2, channels), turned by (3, 3): (coeffs, channels)."""
+        ...
+
+    def light_of_samples(self, directions: F64, solid_angles: F64, radiance: F64) -> F64:
+        """Integrate samples: (dirs, 3) unit, (dirs,) and (dirs, channels) to (coeffs, channels)."""
         ...
 
     def check(self) -> None:
@@ -90,6 +107,30 @@ class WhitenedSrbfs:
         overlap = product_matrix(self.centres, self.bandwidth, centres, bandwidths)
         return np.asarray(self.whitening.inv_sqrt_gram @ (overlap @ coefficients))
 
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between samples that integrate any of the functions: a quarter of its width."""
+        return float(0.25 / np.sqrt(self.bandwidth))
+
+    def light_of_harmonics(self, coefficients: F64, rotation: F64 | None = None) -> F64:
+        """Project spherical harmonics: ``G^(-1/2) S^T c`` with S that of `gaussian_sh`.
+
+        The light turned one way over the centres is the light over the centres turned back.
+        """
+        centres = self.centres if rotation is None else self.centres @ rotation
+        widths = np.full(len(centres), self.bandwidth)
+        overlap = gaussian_sh(order_of(len(coefficients)), centres, widths).T
+        return np.asarray(self.whitening.inv_sqrt_gram @ (overlap @ coefficients))
+
+    def light_of_samples(self, directions: F64, solid_angles: F64, radiance: F64) -> F64:
+        """Integrate samples: ``G^(-1/2) sum_w Y(w)^T L(w) dw``."""
+        total = np.zeros((self.n_coeffs, radiance.shape[1]))
+        for start in range(0, len(directions), LIGHT_CHUNK):
+            block = slice(start, start + LIGHT_CHUNK)
+            flux = radiance[block] * solid_angles[block, None]
+            total += gaussian(directions[block] @ self.centres.T, self.bandwidth).T @ flux
+        return np.asarray(self.whitening.inv_sqrt_gram @ total)
+
     def check(self) -> None:
         """Refuse centres that are no list of finite vectors, and a bandwidth that is not > 0."""
         shape = np.shape(self.centres)
@@ -129,6 +170,28 @@ class SphericalHarmonics:
     def light_of_lobes(self, centres: F64, bandwidths: F64, coefficients: F64) -> F64:
         """Project a sum of Gaussian SRBFs, see `gaussian_sh`."""
         return np.asarray(gaussian_sh(self.order, centres, bandwidths) @ coefficients)
+
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between samples that integrate any of the functions: an eighth of a half wave."""
+        return float(np.pi / (8.0 * self.order))
+
+    def light_of_harmonics(self, coefficients: F64, rotation: F64 | None = None) -> F64:
+        """Turn, and take the degrees that both have: the functions are orthonormal."""
+        light = np.zeros((self.n_coeffs, coefficients.shape[1]))
+        both = coefficients[: self.n_coeffs]
+        # a turn mixes no degrees: what lies above the basis need not be turned
+        light[: len(both)] = both if rotation is None else turn_sh(both, rotation)
+        return light
+
+    def light_of_samples(self, directions: F64, solid_angles: F64, radiance: F64) -> F64:
+        """Integrate samples with every function."""
+        total = np.zeros((self.n_coeffs, radiance.shape[1]))
+        for start in range(0, len(directions), LIGHT_CHUNK):
+            block = slice(start, start + LIGHT_CHUNK)
+            flux = radiance[block] * solid_angles[block, None]
+            total += eval_sh(self.order, directions[block]).T @ flux
+        return total
 
     def check(self) -> None:
         """Refuse an order outside of its range."""

@@ -1,4 +1,4 @@
-"""Canonical files of parsed inputs, meshes and environments, and of fitted lights."""
+"""Canonical files of parsed inputs: meshes and environments."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.asset import LightFit
 from prtbake_storage.decode.quantise import INT16_MAX
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
@@ -106,37 +105,6 @@ def read_environment(path: Path) -> EnvironmentFile:
         if (radiance < 0).any():
             raise CorruptArtefact("/environment/radiance is negative somewhere")
         return EnvironmentFile(radiance, h5.get_object(file, "provenance"))
-
-
-def write_light(path: Path, light: LightFit) -> None:
-    """Write a fitted light."""
-    with h5.new_file(path, "light") as file:
-        group = h5.group(file, "light")
-        h5.set_attribute(group, "kernel", "gaussian")
-        h5.set_attribute(group, "error", float(light.error))
-        h5.put(group, "centres", light.centres, "lobes xyz")
-        h5.put(group, "bandwidths", light.bandwidths, "lobes")
-        h5.put(group, "coefficients", light.coefficients, "lobes channels", unit="radiance")
-        h5.put_json(file, "provenance", dict(light.provenance))
-
-
-def read_light(path: Path) -> LightFit:
-    """Read a fitted light; raises CorruptArtefact."""
-    with h5.open_file(path, "light") as file:
-        group = h5.child(file, "light")
-        centres = h5.get(group, "centres", "f", (None, 3)).astype(np.float64)
-        bandwidths = h5.get(group, "bandwidths", "f", (len(centres),)).astype(np.float64)
-        coefficients = h5.get(group, "coefficients", "f", (len(centres), 3)).astype(np.float64)
-        check_unit("/light/centres", centres)
-        if (bandwidths <= 0).any():
-            raise CorruptArtefact("/light/bandwidths are not all positive")
-        return LightFit(
-            centres=centres,
-            bandwidths=bandwidths,
-            coefficients=coefficients,
-            error=float(h5.attribute(group, "error")),
-            provenance=h5.get_object(file, "provenance"),
-        )
 
 
 def put_mesh(

@@ -6,7 +6,8 @@
     /provenance       JSON text: input digests, settings, seeds, versions, plan
     /mesh/            positions normals faces uv; of kind mesh also colours face_groups group_names
     /basis/           centres; attributes kernel, bandwidth.  Or attributes kind="sh", order
-    /light/           centres bandwidths coefficients; attribute error
+    /light/           attribute error and coefficients; of lobes centres bandwidths, of wavelets
+                      indices and attribute resolution; attribute method but for scattered lobes
     /environment/     radiance
     /brdf/            the arrays of a measured BRDF; attribute parametrisation
     /parts/<i>/       attributes name, role, vertex_start, vertex_stop, n_channels, method;

@@ -6,6 +6,7 @@ import pytest
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.fit.cells import (
     PEAK,
+    SPLIT_ROWS,
     Cells,
     adaptive_cells,
     clip_level,
@@ -51,7 +52,10 @@ def test_a_splitted_sun_keeps_area_and_energy() -> None:
     # every part lies in the texel whose radiance it has
     assert np.array_equal(sun.lookup(texels.directions), texels.radiance)
     bright = texels.radiance[:, 0] > 1
-    assert bright.sum() == 3 * round(3 * np.cos(np.radians(70)))
+    assert bright.sum() == SPLIT_ROWS * round(SPLIT_ROWS * np.cos(np.radians(70)))
+    three = environment_texels(sun, 3)
+    assert (three.radiance[:, 0] > 1).sum() == 3 * round(3 * np.cos(np.radians(70)))
+    assert three.energy == pytest.approx(plain.energy, rel=1e-12)
 
 
 def test_only_few_directions_exceed_the_clip_level(rng) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.errors import EnvironmentMapError, SettingsError
 from prtbake_workers.environment.environment import (
     LUMINANCE,
@@ -15,6 +16,7 @@ from prtbake_workers.environment.fit.cells import Cells, clip_level, environment
 from prtbake_workers.environment.fit.objective import Lobes, evaluate_lobes
 from prtbake_workers.environment.fit.peaks import split_peaks
 from prtbake_workers.environment.fit.refine import narrowest_bandwidths
+from prtbake_workers.environment.light_error import squared_error_ratio
 from prtbake_workers.environment.procedural import constant, one_texel_sun
 from prtbake_workers.environment.sky import sun_direction
 
@@ -74,8 +76,8 @@ def test_a_map_of_a_few_texels_takes_no_more_lobes_than_it_has_room_for(
     room = len(environment_texels(environment).solid_angles)
     assert 0 < len(fit.centres) <= min(n_lobes, room)
     assert np.isfinite(fit.coefficients).all()
-    # as many lobes as texels: what is left is the ridge's and, beside a lamp, the regions'
-    assert fit.error < (0.1 if lit == "lamp" else 0.02)
+    # as many lobes as texels: what is left is the ridge's and, of a lamp, the edges of its texel
+    assert fit.error < (0.25 if lit == "lamp" else 0.02)
 
 
 def test_lamps_over_a_black_floor_are_fitted() -> None:
@@ -94,8 +96,8 @@ def test_lamps_over_a_black_floor_are_fitted() -> None:
     assert level > 4.0
     assert (clipped.radiance @ LUMINANCE).max() == pytest.approx(level, rel=1e-12)
     fit = fit_environment(environment, 12, seed=0, max_iterations=2)
-    # square lamps of one texel each by Gaussians: 0.106 was measured, 1 is no fit at all
-    assert fit.error < 0.15
+    # square lamps of one texel each by four Gaussians: 0.19 was measured, 1 is no fit at all
+    assert fit.error < 0.3
     assert fit.power_ratio == pytest.approx(1.0, abs=0.05)
 
 
@@ -116,8 +118,14 @@ def test_a_sun_of_one_texel_keeps_its_power_and_leaves_lobes_for_the_sky() -> No
     sun = one_texel_sun(64)
     fit = fit_environment(sun, 24, seed=0, max_iterations=3)
     assert 1 <= fit.n_peak_lobes <= 8
-    # Gaussians in a square texel: measured 0.024 with eight of them
-    assert fit.error < 0.05
+    # Gaussians in a square texel: measured 0.10 with eight of them
+    assert fit.error < 0.15
+    # and no less between the samples that it was taken in
+    light = LightFit(centres=fit.centres, bandwidths=fit.bandwidths, coefficients=fit.coefficients)
+    other = environment_texels(sun, 40)
+    assert squared_error_ratio(light, other) == pytest.approx(fit.error, rel=0.03)
+    # negative twin: the samples that the lobes moved in tell far less
+    assert squared_error_ratio(light, environment_texels(sun)) < 0.9 * fit.error
     # the lobes' integrals in closed form against the map's power: measured 1e-4
     assert fit.power_ratio == pytest.approx(1.0, abs=0.005)
     directions, weights = sun.directions(), sun.solid_angles()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import ive
 
-from prtbake_storage.decode.asset import LightFit
 from prtbake_storage.decode.gaussian_sh import gaussian_sh, scaled_bessel
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.decode.relight import project_light, rotation_matrix
 from prtbake_storage.decode.sh import eval_sh
 from prtbake_storage.decode.srbf import gaussian

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prtbake_storage.decode.asset import Asset, LightFit, Part, check_asset
+from prtbake_storage.decode.asset import Asset, Part, check_asset
+from prtbake_storage.decode.light import LightFit
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import (
     cluster_matrices,

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from prtbake_storage.decode.sh import MOST_ORDER, eval_sh
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics
 from prtbake_storage.errors import SettingsError
@@ -58,7 +56,7 @@ class ShBasis(Projecting):
     @property
     def spacing_rad(self) -> float:
         """Angle between samples that integrate any of the functions: an eighth of a half wave."""
-        return float(np.pi / (8.0 * self.order))
+        return self.stored.spacing_rad
 
     @cached_property
     def stored(self) -> SphericalHarmonics:

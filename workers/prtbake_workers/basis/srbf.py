@@ -36,9 +36,6 @@ Reals = float | np.floating[Any] | NDArray[Any]
 SAFE_BANDWIDTH_PER_CENTRE = 40.0 / 642.0
 """Condition 2.4e7 on icosphere centres: what an error message offers instead."""
 
-LIGHT_CHUNK = 8192
-"""Texels a block while an environment is integrated: 40 MB at 642 centres."""
-
 
 def abel_poisson(cos_angle: Reals, lam: Reals) -> F64:
     """Evaluate the Abel-Poisson SRBF, [Tsai2006]_ eq. (3).
@@ -211,7 +208,7 @@ class SrbfBasis(Projecting):
     @property
     def spacing_rad(self) -> float:
         """Angle between samples that integrate any of the functions: a quarter of its width."""
-        return float(0.25 / np.sqrt(self.bandwidth))
+        return self.stored.spacing_rad
 
     @property
     def functions(self) -> WhitenedBasis:
@@ -251,9 +248,4 @@ class SrbfBasis(Projecting):
         ndarray
             Light as the basis sees it, without a fit in between.
         """
-        total = np.zeros((self.n, 3))
-        for start in range(0, len(directions), LIGHT_CHUNK):
-            block = slice(start, start + LIGHT_CHUNK)
-            flux = radiance[block] * solid_angles[block, None]
-            total += self.evaluate(directions[block]).T @ flux
-        return np.asarray(self.whitening.inv_sqrt_gram @ total)
+        return self.stored.light_of_samples(directions, solid_angles, radiance)

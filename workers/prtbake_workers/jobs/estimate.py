@@ -17,8 +17,8 @@ from prtbake_storage.contract.jobs import (
 )
 from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics, TransferBasis
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task

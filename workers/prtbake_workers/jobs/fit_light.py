@@ -1,22 +1,44 @@
-"""Job kind ``fit_light``: an environment as scattered SRBFs."""
+"""Job kind ``fit_light``: an environment as lobes, spherical harmonics or wavelets."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from prtbake_storage.contract.settings import FitLightSettings
-from prtbake_storage.decode.asset import LightFit
-from prtbake_storage.hdf5.resources import write_light
+from prtbake_storage.decode.light import FittedLight, LightFit
+from prtbake_storage.hdf5.light import write_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.environment.environment import Environment
-from prtbake_workers.environment.fit import fit_environment
+from prtbake_workers.environment.fit import fit_environment, fit_to_error
+from prtbake_workers.environment.fit.cells import Cells
+from prtbake_workers.environment.light_error import power_ratio
+from prtbake_workers.environment.sh_projection import project_sh, sh_samples
+from prtbake_workers.environment.uniform_srbf import fit_uniform_srbf, uniform_samples
+from prtbake_workers.environment.wavelet_projection import project_wavelet, wavelet_samples
 from prtbake_workers.jobs.inputs import load_environment, versions
 
 _MODULE = "prtbake_workers.jobs.fit_light"
 
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A light, the numbers it is made of, and what there is to tell of it."""
+
+    light: FittedLight
+    numbers: int
+    power_ratio: float
+    account: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
 
 def stages(environment: str, settings: FitLightSettings, seed: int) -> list[Stage]:
     """Fit in one task."""
-    args = {"environment": environment, "settings": settings.model_dump(mode="json"), "seed": seed}
+    # without the fields of other methods, whatever those will be
+    dumped = settings.model_dump(mode="json", exclude_none=True)
+    args = {"environment": environment, "settings": dumped, "seed": seed}
 
     def fit(_: Results) -> list[Task]:
         return [Task(f"{_MODULE}:fit", args, label="fit")]
@@ -28,33 +50,93 @@ def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``light.h5``."""
     settings = FitLightSettings.model_validate(args["settings"])
     environment = load_environment(context.store, args["environment"])
-    result = fit_environment(
+    found = fitted(
         environment,
-        settings.n_lobes,
-        seed=args["seed"],
-        max_iterations=settings.max_iterations,
-        progress=lambda fraction, phase: context.progress(fraction, 1.0, phase),
+        settings,
+        args["seed"],
+        lambda fraction, phase: context.progress(fraction, 1.0, phase),
     )
+    path = context.scratch / "light.h5"
+    write_light(path, replace(found.light, provenance={**args, "versions": versions()}))
+    size = path.stat().st_size
+    return {
+        "light": context.store.put_file(path, move=True),
+        "bytes": size,
+        "light_method": found.light.method,
+        "light_numbers": found.numbers,
+        "power_ratio": found.power_ratio,
+        "errors": {"light": float(found.light.error)},
+        "notes": found.notes,
+        **found.account,
+    }
+
+
+def fitted(
+    environment: Environment, settings: FitLightSettings, seed: int, progress: Progress
+) -> Fit:
+    """Fit an environment by the method of the settings."""
+    match settings.method:
+        case "srbf_scattered":
+            return _scattered(environment, settings, seed, progress)
+        case "srbf_uniform":
+            n_centres = settings.n_centres or 0
+            texels = uniform_samples(environment, n_centres, settings.bandwidth)
+            lobes = fit_uniform_srbf(texels, n_centres, settings.bandwidth)
+            return _of_functions(lobes, texels, _account_of_lobes(lobes), progress)
+        case "sh":
+            texels = sh_samples(environment, settings.sh_order or 0)
+            harmonics = project_sh(texels, settings.sh_order or 0)
+            return _of_functions(harmonics, texels, {}, progress)
+        case "wavelet":
+            resolution = settings.resolution or 0
+            texels = wavelet_samples(environment, resolution)
+            wavelets = project_wavelet(texels, resolution, settings.n_wavelets or 0)
+            return _of_functions(wavelets, texels, {}, progress)
+
+
+def _of_functions(
+    light: FittedLight, texels: Cells, account: dict[str, Any], progress: Progress
+) -> Fit:
+    progress(1.0, "coefficients")
+    return Fit(light, light.coefficients.size, power_ratio(light, texels), account)
+
+
+def _scattered(
+    environment: Environment, settings: FitLightSettings, seed: int, progress: Progress
+) -> Fit:
+    n_lobes, max_iterations = settings.n_lobes or 0, settings.max_iterations or 0
+    notes = []
+    if settings.max_error is None:
+        result = fit_environment(
+            environment, n_lobes, seed=seed, max_iterations=max_iterations, progress=progress
+        )
+        notes = _notes(n_lobes, len(result.centres), environment)
+    else:
+        result = fit_to_error(
+            environment,
+            settings.max_error,
+            most_lobes=n_lobes,
+            seed=seed,
+            max_iterations=max_iterations,
+            progress=progress,
+        )
+        notes = [
+            f"{len(result.centres)} lobes leave {result.error:.3g} of the light, asked for at most "
+            f"{settings.max_error:g}"
+        ]
     light = LightFit(
         centres=result.centres,
         bandwidths=result.bandwidths,
         coefficients=result.coefficients,
         error=float(result.error),
-        provenance={**args, "versions": versions()},
     )
-    path = context.scratch / "light.h5"
-    write_light(path, light)
-    size = path.stat().st_size
-    return {
-        "light": context.store.put_file(path, move=True),
-        "bytes": size,
-        "lobes": len(result.centres),
-        "negative_lobes": int((result.coefficients < 0).any(axis=1).sum()),
-        "peak_lobes": int(result.n_peak_lobes),
-        "power_ratio": float(result.power_ratio),
-        "errors": {"light": float(result.error)},
-        "notes": _notes(settings.n_lobes, len(result.centres), environment),
-    }
+    account = _account_of_lobes(light) | {"peak_lobes": int(result.n_peak_lobes)}
+    return Fit(light, 6 * len(light.centres), float(result.power_ratio), account, notes)
+
+
+def _account_of_lobes(light: LightFit) -> dict[str, Any]:
+    negative = (light.coefficients < 0).any(axis=1)
+    return {"lobes": len(light.centres), "negative_lobes": int(negative.sum())}
 
 
 def _notes(asked: int, found: int, environment: Environment) -> list[str]:

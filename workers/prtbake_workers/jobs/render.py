@@ -8,8 +8,8 @@ import numpy as np
 
 from prtbake_storage.contract.settings import RenderSettings
 from prtbake_storage.decode.relight import project_light, rotation_matrix
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import U8

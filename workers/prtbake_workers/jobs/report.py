@@ -102,7 +102,8 @@ def _numerics(results: Results) -> dict[str, Any]:
         numerics["gram_defect_of_directions"] = max(t["gram_defect"] for t in results["bake"])
     if "fit_light" in results:
         (light,) = results["fit_light"]
-        numerics |= {name: light[name] for name in ("lobes", "negative_lobes", "power_ratio")}
+        names = ("light_method", "light_numbers", "lobes", "negative_lobes", "power_ratio")
+        numerics |= {name: light[name] for name in names if name in light}
     return numerics
 
 

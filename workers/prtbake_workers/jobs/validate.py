@@ -10,8 +10,8 @@ from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_storage.errors import InputError
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.resources import read_light
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.queue.context import TaskContext

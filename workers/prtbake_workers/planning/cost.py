@@ -32,6 +32,10 @@ as long."""
 SCATTERED_PATHS_PER_SECOND = 5.0e4
 """Paths that begin on a medium, with the lines that look for where light entered."""
 CHILD_START_S = 1.5
+LIGHT_TEXELS = 524_288
+"""Of a map of 1024 x 512; each function is evaluated there twice."""
+FUNCTION_VALUES_PER_SECOND = 5.0e7
+"""Of lobes or harmonics, in each texel, in the projection and in what it leaves."""
 ORIENTED_SECONDS, ORIENTED_BYTES = 8.0, 300_000_000
 """Of factorising one anisotropic BRDF; an isotropic one takes a fraction of a second."""
 PROBE_SECONDS = 3.0
@@ -215,8 +219,14 @@ def compress_memory_bytes(costs: Sequence[PartCost]) -> int:
 
 
 def fit_seconds(settings: FitLightSettings) -> float:
-    """Predict the seconds of a scattered fit: texels x lobes x iterations."""
-    return 2.0 + 0.05 * settings.n_lobes * settings.max_iterations
+    """Predict the seconds of a fit: texels x lobes x iterations, or texels x functions.
+
+    A target for the error is taken to ask for as many lobes as it may.
+    """
+    if settings.method == "srbf_scattered":
+        return 2.0 + 0.05 * (settings.n_lobes or 0) * (settings.max_iterations or 0)
+    n_functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
+    return CHILD_START_S + LIGHT_TEXELS * (1 + n_functions) / FUNCTION_VALUES_PER_SECOND
 
 
 def validate_seconds(

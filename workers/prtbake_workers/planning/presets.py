@@ -219,10 +219,21 @@ def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
     return StageSettings(
         bake=BakeSettings.model_validate(bake),
         compress=CompressSettings.model_validate(step.compress | overrides.compress),
-        fit_light=FitLightSettings.model_validate(step.fit_light | overrides.fit_light),
+        fit_light=_light(step.fit_light, overrides.fit_light),
         render=RenderSettings.model_validate(overrides.render),
         validation=_validation(step.validation | overrides.validation),
     )
+
+
+def _light(step: dict[str, Any], overrides: dict[str, Any]) -> FitLightSettings:
+    """Lay the fields of a request over those of the step, which are of scattered lobes."""
+    given = {name: value for name, value in overrides.items() if value is not None}
+    left = dict(step)
+    if given.get("method", "srbf_scattered") != "srbf_scattered":
+        left = {}
+    elif "max_error" in given:
+        del left["n_lobes"]
+    return FitLightSettings.model_validate(left | given)
 
 
 def _validation(fields: dict[str, Any]) -> ValidateSettings:

@@ -24,7 +24,7 @@ ERRORS_ARE = {
     "weighted by area, over the transport as it was baked; of a view texture's rounding: what it "
     "changes of the radiance, over the same; of a view texture: what its lookup changes of the "
     "BRDF's terms, over all pairs of directions with weight cos² cos², over these terms",
-    "fit_light": "what the lobes leave of the environment, over the sphere, over the environment",
+    "fit_light": "what the light leaves of the environment, over the sphere, over the environment",
 }
 """Norm and denominator of each stage's own errors; all are ratios of squared radiance."""
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prtbake_storage.decode.cube_map import N_FACES, face_points
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, Float32, Float64
-
-N_FACES = 6
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class CubeDirections:
         if supersample < 1:
             raise SettingsError(f"supersample must be at least 1, got {supersample}")
         s, n = supersample, self.resolution
-        fine = _face_points(n * s).reshape(N_FACES, n, s, n, s, 3)
+        fine = face_points(n * s).reshape(N_FACES, n, s, n, s, 3)
         samples = fine.transpose(2, 4, 0, 1, 3, 5).reshape(s * s, self.n, 3)
         lengths = np.linalg.norm(samples, axis=2, keepdims=True)
         return np.asarray((samples / lengths).astype(np.float32))
@@ -69,7 +68,7 @@ def cube_directions(resolution: int) -> CubeDirections:
     """
     if resolution < 1:
         raise SettingsError(f"cube_resolution must be at least 1, got {resolution}")
-    points = _face_points(resolution).reshape(-1, 3)
+    points = face_points(resolution).reshape(-1, 3)
     lengths = np.linalg.norm(points, axis=1)
     weights = lengths**-3
     return CubeDirections(
@@ -77,12 +76,3 @@ def cube_directions(resolution: int) -> CubeDirections:
         directions=points / lengths[:, None],
         weights=weights * (4.0 * np.pi / weights.sum()),
     )
-
-
-def _face_points(resolution: int) -> Float64[F64, "faces rows columns 3"]:
-    """Texel centres on the cube of half edge 1."""
-    steps = (np.arange(resolution) + 0.5) / resolution * 2.0 - 1.0
-    v, u = np.meshgrid(steps, steps, indexing="ij")
-    one = np.ones_like(u)
-    faces = [(one, v, u), (-one, v, u), (u, one, v), (u, -one, v), (u, v, one), (u, v, -one)]
-    return np.stack([np.stack(face, axis=-1) for face in faces])

@@ -18,12 +18,13 @@ from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.relight import project_light
 from prtbake_workers.arrays import B8, F32, F64, Bool, Float32, Float64
 from prtbake_workers.environment.sampling import EnvironmentSampler
+from prtbake_workers.environment.subdivision import subdivided_texels
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.validation.budget import Budget, ChainPicture, make_budget
 from prtbake_workers.validation.exact_terms import ExactTerms
 from prtbake_workers.validation.hits import PixelHits, trace_camera
 from prtbake_workers.validation.indirect import PathLight
-from prtbake_workers.validation.light import cell_flux, draw_pass, subdivided_texels
+from prtbake_workers.validation.light import cell_flux, draw_pass
 from prtbake_workers.validation.monte_carlo import pixel_pictures, vertex_terms
 from prtbake_workers.validation.sampled import (
     asset_picture,
@@ -63,7 +64,7 @@ MEANINGS = {
     "reference's, and coefficients as the transfer file holds them",
     UNBOUNCED_LINE: "no bounces, as the bake left them out, and coefficients as the transfer file "
     "holds them",
-    "light fit": "a sum of scattered lobes in place of the environment",
+    "light fit": "the fitted light in place of the environment",
     "compression": "clusters and ranks in place of every vertex's own coefficients",
     "rounded factors": "factors as the asset file holds them",
     MERGED_LINE: "clusters, ranks and rounding, as the asset file holds them",

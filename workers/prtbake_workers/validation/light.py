@@ -1,11 +1,12 @@
-"""The environment as light for the chain: shared samples, cell fluxes, exact integrals."""
+"""The environment as light for the chain: shared samples and cell fluxes."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.environment.environment import Environment, texel_of
+from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.sampling import EnvironmentSampler
+from prtbake_workers.environment.subdivision import subdivided_texels
 from prtbake_workers.transport.directions import CubeDirections
 from prtbake_workers.transport.reference import LightPass
 
@@ -20,23 +21,6 @@ def draw_pass(
     samples = sampler.sample(n_samples, rng)
     weights = samples.radiance / (samples.pdf[:, None] * n_samples)
     return LightPass(samples.directions @ rotation.T, weights)
-
-
-def subdivided_texels(
-    environment: Environment, finest: float
-) -> tuple[Float64[F64, "dirs 3"], Float64[F64, " dirs"], Float64[F64, "dirs 3"]]:
-    """Cut texels into pieces no wider than ``finest`` radians.
-
-    Returns directions, solid angles (sum 4 pi) and radiance, so that sums over them integrate
-    smooth functions against a map that is constant over each texel.
-    """
-    times = max(1, int(np.ceil(np.pi / environment.height / finest)))
-    height, width = environment.height * times, environment.width * times
-    fine = Environment(np.zeros((height, width, 3), np.float32))
-    directions = fine.directions()
-    owner = texel_of(directions, environment.height, environment.width)
-    radiance = environment.radiance.reshape(-1, 3)[owner].astype(np.float64)
-    return directions, fine.solid_angles(), radiance
 
 
 def cell_flux(

@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from prtbake_storage.decode.asset import Asset, LightFit
+from prtbake_storage.decode.asset import Asset
+from prtbake_storage.decode.light import Light
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.incident import IncidentBasis
 from prtbake_workers.brdf.base import Brdf, is_isotropic
@@ -58,7 +59,7 @@ class ValidationScene:
     exact: Asset | None
     delivered: Asset
     environment: Environment
-    light: LightFit
+    light: Light
     baked_bounces: bool
     """Whether the stored transfer holds bounces."""
 

@@ -5,5 +5,6 @@ from prtbake_workers.environment.fit.scattered import (
     fit_environment,
     fit_scattered_srbf,
 )
+from prtbake_workers.environment.fit.target import fit_to_error
 
-__all__ = ["ScatteredFit", "fit_environment", "fit_scattered_srbf"]
+__all__ = ["ScatteredFit", "fit_environment", "fit_scattered_srbf", "fit_to_error"]
