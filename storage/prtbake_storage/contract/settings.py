@@ -291,9 +291,9 @@ class FitLightSettings(Wire):
         default=None, validate_default=True
     )
     """Of `sh`: bands n, n² functions; null is 18."""
-    resolution: Literal[8, 16, 32, 64, 128, 256] | None = Field(default=None, validate_default=True)
+    resolution: Literal[8, 16, 32, 64, 128] | None = Field(default=None, validate_default=True)
     """Of `wavelet`: N of a cube map of 6 N² texels; null is 64."""
-    n_wavelets: Annotated[int, Field(ge=1, le=6 * 256**2)] | None = Field(
+    n_wavelets: Annotated[int, Field(ge=1, le=6 * 128**2)] | None = Field(
         default=None, validate_default=True
     )
     """Of `wavelet`: those kept, the ones that hold most; null is 324."""

@@ -15,7 +15,7 @@ from prtbake_workers.environment.fit.cells import Cells
 from prtbake_workers.environment.light_error import squared_error_ratio
 from prtbake_workers.environment.subdivision import fine_texels
 
-_SAMPLES_ACROSS = 4
+_SAMPLES_ACROSS = 6
 """Rows of samples in a texel in the middle of a face of the cube map."""
 
 
