@@ -1,7 +1,7 @@
 """Figure 4 of [Tsai2006], measured: environments by as many numbers of every kind.
 
 ``PYTHONPATH=tests python -m figures.figure4`` prints the page of tables and writes it to a folder,
-with a strip of pictures an environment.  Where ``PRTBAKE_DATA`` names the real-data folder the
+with a strip of pictures a light.  Where ``PRTBAKE_DATA`` names the real-data folder the
 lights are six of its maps, else four procedural ones.
 """
 
@@ -188,9 +188,6 @@ def main(arguments: list[str], sizes: Sizes | None = None) -> int:
             np.ones((options.height, 2 * options.height), np.float32),
         )
         strips.append(side_by_side([picture(one, options.height, exposure) for one in shown]))
-        (options.to / f"figure4-{Path(name).stem.replace(' ', '-')}.png").write_bytes(
-            png_bytes(strips[-1])
-        )
     gap = np.full((GAP, strips[0].shape[1], 3), 255, np.uint8)
     stacked = [piece for strip in strips for piece in (gap, strip)][1:]
     (options.to / "figure4.png").write_bytes(png_bytes(np.concatenate(stacked)))
@@ -223,6 +220,9 @@ def page(
         "The largest ones hold most squared radiance: no other choice of as many leaves less. Both "
         "live on the very texels of the map, where a lamp of one texel is a handful of "
         "coefficients; all other functions know no texels and blur its edges.",
+        "![The lights beside each other](figure4.png)",
+        f"From left to right: the map, {', '.join(m.name for m in compared if m.pictured)}; one "
+        "exposure a light, what is below zero is black.",
         f"Lights are fitted in {FITTED_PARTS} x {FITTED_PARTS} parts of each texel, errors taken in "
         f"{JUDGED_PARTS} x {JUDGED_PARTS} others.",
     ]
