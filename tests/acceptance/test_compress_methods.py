@@ -9,7 +9,7 @@ from prtbake import Asset, InvalidRequest
 from prtbake_storage.contract.jobs import JobState
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import project_light
-from prtbake_storage.hdf5.resources import read_light
+from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.transfer import open_transfer
 from support.deployment import Installation
 from support.main_job import Finished
