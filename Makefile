@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan mitsuba serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan mitsuba tsai serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -85,6 +85,10 @@ sloan: setup ## Redo the clustered PCA of Sloan's paper, into docs/measured (PRT
 mitsuba: setup ## Hold baked scenes against Mitsuba 3, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/against_mitsuba.py
+
+tsai: setup ## Redo Tsai and Shih's tables 1 and 2, into docs/measured (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/tsai.py
 
 serve: setup gl ## Service and two workers on loopback
 	$(BIN)/prtbake serve

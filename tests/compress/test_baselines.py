@@ -1,0 +1,247 @@
+"""The baselines: exact when nothing is cut, as their slow twins when something is."""
+
+import numpy as np
+import pytest
+
+from prtbake_storage.decode.cube_map import face_solid_angles
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress.baselines.largest_coefficients import keep_largest
+from prtbake_workers.compress.baselines.segmented_cpca import (
+    block_segments,
+    compress_all_frequency_cpca,
+    cut,
+    spend_components,
+)
+from prtbake_workers.compress.baselines.wavelet_transfer import compress_wavelets
+
+N_TEXELS = 96
+SEGMENTS = block_segments(4, 4)
+"""One a face."""
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    """(80, 4, 96): made-up transfer over a cube map of 4 x 4 texels a face."""
+    rng = np.random.default_rng(11)
+    smooth = rng.standard_normal((80, 5)) @ rng.standard_normal((5, 4 * N_TEXELS))
+    transfer = smooth + 0.1 * rng.standard_normal(smooth.shape)
+    # what an object on a plane never sees
+    transfer = transfer.reshape(80, 4, N_TEXELS) * (np.arange(N_TEXELS) < 64)
+    transfer = transfer.astype(np.float32)
+    transfer.flags.writeable = False
+    return transfer
+
+
+def compressed(transfer, n_clusters, n_components, **options):
+    return compress_all_frequency_cpca(
+        cut(transfer, SEGMENTS), SEGMENTS, n_clusters, n_components, seed=0, **options
+    )
+
+
+def squared_error(model, transfer, weights):
+    difference = transfer.astype(float) - model.reconstruct()
+    return float(weights @ np.einsum("vkt,vkt->v", difference, difference))
+
+
+def test_blocks_are_squares_of_one_face_and_cover_every_texel_once():
+    texels = np.arange(N_TEXELS).reshape(6, 4, 4)
+    blocks = block_segments(4, 2)
+    assert len(blocks) == 24
+    np.testing.assert_array_equal(np.sort(np.concatenate(blocks)), np.arange(N_TEXELS))
+    np.testing.assert_array_equal(blocks[0], texels[0, :2, :2].ravel())
+    np.testing.assert_array_equal(blocks[3], texels[0, 2:, 2:].ravel())
+    np.testing.assert_array_equal(blocks[5], texels[1, :2, 2:].ravel())
+    assert [len(s) for s in block_segments(32, 16)] == [256] * 24
+    with pytest.raises(SettingsError, match="3 does not divide"):
+        block_segments(4, 3)
+
+
+def test_as_many_components_as_a_segment_has_dimensions_leave_nothing(sampled):
+    model = compressed(sampled, 1, 64)
+    # float32 factors of unit size: 1e-7 of the amplitude, 1e-14 of the energy, a few times over
+    assert model.squared_error_ratio < 1e-12
+    np.testing.assert_allclose(model.reconstruct(), sampled, rtol=0, atol=2e-5)
+    one_less = compressed(sampled, 1, 63)
+    assert one_less.squared_error_ratio > 1e-7
+
+
+def test_one_cluster_is_the_svd_of_each_segment(sampled):
+    """The slow twin: a full SVD a segment, in float64, weighted by area."""
+    weights = np.linspace(0.5, 2.0, len(sampled))
+    model = compressed(sampled, 1, 3, vertex_weights=weights)
+    error = 0.0
+    for texels in SEGMENTS:
+        rows = sampled[:, :, texels].reshape(len(sampled), -1).astype(float)
+        rows -= weights @ rows / weights.sum()
+        values = np.linalg.svd(np.sqrt(weights)[:, None] * rows, compute_uv=False)
+        error += np.sum(values[3:] ** 2)
+    # float32 means and bases: 1e-7 of the energy, of which this is a thousandth
+    assert model.objective[-1] == pytest.approx(error, rel=1e-3)
+    assert compressed(sampled, 1, 3).objective[-1] != pytest.approx(error, rel=1e-3)
+
+
+def test_objective_is_the_error_of_what_is_reconstructed(sampled):
+    weights = np.linspace(0.5, 2.0, len(sampled))
+    view_basis = np.linalg.qr(np.random.default_rng(0).standard_normal((4, 3)))[0]
+    model = compressed(
+        sampled, 3, 2, vertex_weights=weights, view_basis=view_basis.astype(np.float32)
+    )
+    error = squared_error(model, sampled, weights)
+    assert model.objective[-1] == pytest.approx(error, rel=1e-5)
+    energy = float(weights @ np.einsum("vkt,vkt->v", sampled, sampled, dtype=float))
+    assert model.squared_error_ratio == pytest.approx(error / energy, rel=1e-5)
+    # the negative twin: segments put together in another order
+    shuffled = np.roll(model.reconstruct(), 16, axis=2)
+    assert np.sum((sampled - shuffled) ** 2) > 2.0 * np.sum((sampled - model.reconstruct()) ** 2)
+    np.testing.assert_array_equal(model.reconstruct(slice(7, 11)), model.reconstruct()[7:11])
+    # of a dark segment one cluster is left
+    numbers = 4 * 3 + 6 * 80 * 2 + (4 * 3 + 2) * (2 + 1) * 3 * 16
+    assert model.nbytes == 4 * numbers
+
+
+def test_components_go_to_the_segments_that_see_light(sampled):
+    weights = np.linspace(0.5, 2.0, len(sampled))
+    even = compressed(sampled, 3, 2, vertex_weights=weights)
+    rich = compressed(sampled, 3, 8, vertex_weights=weights)
+    spent = spend_components(rich, 12, vertex_weights=weights)
+    kept = [model.components.shape[1] for model in spent.models]
+    assert sum(kept) == 12
+    # the last two faces are dark
+    assert kept[4:] == [0, 0]
+    # all clusters of a segment that is lit are kept, where the dark ones had one
+    assert spent.nbytes < 1.5 * even.nbytes
+    assert spent.objective[-1] < 0.8 * even.objective[-1]
+    error = squared_error(spent, sampled, weights)
+    assert spent.objective[-1] == pytest.approx(error, rel=1e-5)
+    # the slow twin: of all ways to move one component from a segment to another none is better
+    for poor in np.flatnonzero(kept):
+        for richer in range(4):
+            moved = list(kept)
+            moved[poor] -= 1
+            moved[richer] += 1
+            errors = [
+                rich.models[s].squared_error_per_vertex
+                + np.sum(rich.models[s].weights[:, n:].astype(float) ** 2, axis=1)
+                for s, n in enumerate(moved)
+            ]
+            assert float(weights @ sum(errors)) >= spent.objective[-1] * (1 - 1e-6)
+
+
+def test_a_few_leading_dimensions_serve_where_the_signal_has_few(sampled):
+    """Five smooth functions and noise: eight dimensions hold all but noise."""
+    whole = compressed(sampled, 3, 3)
+    fewer = compressed(sampled, 3, 3, n_dims=12)
+    ones = np.ones(len(sampled))
+    assert fewer.objective[-1] == pytest.approx(squared_error(fewer, sampled, ones), rel=1e-5)
+    assert fewer.objective[-1] < 1.3 * whole.objective[-1]
+    assert fewer.nbytes == whole.nbytes
+    # the negative twin: too few
+    assert compressed(sampled, 3, 3, n_dims=2).objective[-1] > 1.5 * whole.objective[-1]
+
+
+def test_clusters_may_differ_from_segment_to_segment(sampled):
+    counts = [3] * 4 + [1] * 2
+    model = compressed(sampled, counts, 2)
+    assert [len(one.means) for one in model.models] == counts
+    with pytest.raises(SettingsError, match="5 numbers of clusters for 6 segments"):
+        compressed(sampled, counts[1:], 2)
+
+
+def test_parts_that_do_not_fit_are_named(sampled):
+    with pytest.raises(SettingsError, match="part 1 has the shape"):
+        compress_all_frequency_cpca(
+            [sampled[:, :, :16], sampled[:, :, :5]], SEGMENTS[:2], 2, 2, seed=0
+        )
+    with pytest.raises(SettingsError, match=r"part 1 has the shape .* for 80 vertices"):
+        compress_all_frequency_cpca(
+            [sampled[:, :, :16], sampled[:9, :, :16]], SEGMENTS[:2], 2, 2, seed=0
+        )
+    with pytest.raises(SettingsError, match="0 segments"):
+        compress_all_frequency_cpca([], [], 2, 2, seed=0)
+
+
+def test_all_coefficients_kept_are_the_signal(sampled):
+    model = keep_largest(sampled, sampled.size)
+    np.testing.assert_array_equal(model.reconstruct(), sampled)
+    assert model.objective == [0.0]
+    # the dark third costs nothing
+    kept = int(np.count_nonzero(sampled))
+    assert kept == 80 * 4 * 64
+    assert model.nbytes == 6 * kept + 2 * 80 * 4
+
+
+def test_the_largest_are_kept_by_area(sampled):
+    """The slow twin: sort all weighted squares, and add up what is left out."""
+    weights = np.where(np.arange(80) < 20, 9.0, 1.0)
+    model = keep_largest(sampled, 500, vertex_weights=weights)
+    scores = np.sort((weights[:, None, None] * sampled.astype(float) ** 2).ravel())
+    assert model.objective[-1] == pytest.approx(scores[:-500].sum(), rel=1e-6)
+    assert model.objective[-1] == pytest.approx(squared_error(model, sampled, weights), rel=1e-6)
+    assert len(model.values) == int(model.counts.sum()) == 500
+    # the negative twin: choosing without the areas leaves more
+    plain = keep_largest(sampled, 500)
+    assert squared_error(plain, sampled, weights) > 1.05 * model.objective[-1]
+    np.testing.assert_array_equal(model.reconstruct(slice(5, 9)), model.reconstruct()[5:9])
+
+
+def test_what_cannot_be_kept_is_refused(sampled):
+    with pytest.raises(SettingsError, match="n_kept"):
+        keep_largest(sampled, 0)
+    with pytest.raises(SettingsError, match="65536 coefficients"):
+        keep_largest(np.ones((1, 1, 65536), np.float32), 1)
+
+
+def test_a_black_tensor_has_no_error(sampled):
+    black = np.zeros_like(sampled)
+    assert keep_largest(black, 5).squared_error_ratio == 0.0
+    assert compressed(black, 2, 2).squared_error_ratio == 0.0
+
+
+def test_all_wavelets_are_the_signal(sampled):
+    model = compress_wavelets(sampled, sampled.size)
+    # one rounding of coefficients of up to 10 to float32
+    np.testing.assert_allclose(model.reconstruct(), sampled, rtol=0, atol=5e-6)
+    assert model.squared_error_ratio < 1e-12
+
+
+def test_wavelet_error_is_that_of_what_is_reconstructed(sampled):
+    weights = np.where(np.arange(80) < 20, 9.0, 1.0)
+    model = compress_wavelets(sampled, 900, vertex_weights=weights)
+    error = squared_error(model, sampled, weights)
+    assert model.objective[-1] == pytest.approx(error, rel=1e-5)
+    assert 0.01 < model.squared_error_ratio < 0.9
+    np.testing.assert_allclose(
+        model.reconstruct(slice(5, 9)), model.reconstruct()[5:9], rtol=0, atol=1e-6
+    )
+    assert model.nbytes == 6 * 900 + 2 * 80 * 4
+    # the negative twin: the faces in another order
+    moved = np.roll(model.reconstruct(), 16, axis=2)
+    assert np.sum((sampled - moved) ** 2) > 1.3 * np.sum((sampled - model.reconstruct()) ** 2)
+
+
+def test_a_constant_is_one_wavelet_a_face():
+    roots = np.sqrt(face_solid_angles(4)).reshape(1, 1, 16)
+    constant = np.tile(roots, (3, 2, 6)).astype(np.float32)
+    model = compress_wavelets(constant, 3 * 2 * 6)
+    np.testing.assert_allclose(model.reconstruct(), constant, rtol=1e-6)
+    assert compress_wavelets(constant, 3 * 2 * 6 - 1).squared_error_ratio == pytest.approx(1 / 36)
+
+
+def test_wavelets_are_the_largest_of_a_matrix_written_out(sampled):
+    """The slow twin: the transform as a matrix, of one unit texel after another."""
+    columns = [compress_wavelets(unit, 96).kept.reconstruct()[0, 0] for unit in _units()]
+    matrix = np.array(columns, dtype=float)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(N_TEXELS), atol=1e-6)
+    scores = np.sort(((sampled.astype(float) @ matrix) ** 2).ravel())
+    model = compress_wavelets(sampled, 400)
+    assert model.objective[-1] == pytest.approx(scores[:-400].sum(), rel=1e-5)
+
+
+def _units():
+    return [row.reshape(1, 1, -1) for row in np.eye(N_TEXELS, dtype=np.float32)]
+
+
+@pytest.mark.parametrize("n_texels", [95, 54])
+def test_texels_that_are_no_cube_map_are_refused(n_texels):
+    with pytest.raises(SettingsError, match=f"{n_texels} texels"):
+        compress_wavelets(np.ones((2, 1, n_texels), np.float32), 3)
