@@ -1,35 +1,19 @@
-"""The baselines: exact when nothing is cut, as their slow twins when something is."""
+"""All-frequency CPCA: exact when nothing is cut, as its slow twins when something is."""
 
 import numpy as np
 import pytest
 
-from prtbake_storage.decode.cube_map import face_solid_angles
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.compress.baselines.largest_coefficients import keep_largest
 from prtbake_workers.compress.baselines.segmented_cpca import (
     block_segments,
     compress_all_frequency_cpca,
     cut,
     spend_components,
 )
-from prtbake_workers.compress.baselines.wavelet_transfer import compress_wavelets
 
 N_TEXELS = 96
 SEGMENTS = block_segments(4, 4)
 """One a face."""
-
-
-@pytest.fixture(scope="module")
-def sampled():
-    """(80, 4, 96): made-up transfer over a cube map of 4 x 4 texels a face."""
-    rng = np.random.default_rng(11)
-    smooth = rng.standard_normal((80, 5)) @ rng.standard_normal((5, 4 * N_TEXELS))
-    transfer = smooth + 0.1 * rng.standard_normal(smooth.shape)
-    # what an object on a plane never sees
-    transfer = transfer.reshape(80, 4, N_TEXELS) * (np.arange(N_TEXELS) < 64)
-    transfer = transfer.astype(np.float32)
-    transfer.flags.writeable = False
-    return transfer
 
 
 def compressed(transfer, n_clusters, n_components, **options):
@@ -160,88 +144,5 @@ def test_parts_that_do_not_fit_are_named(sampled):
         compress_all_frequency_cpca([], [], 2, 2, seed=0)
 
 
-def test_all_coefficients_kept_are_the_signal(sampled):
-    model = keep_largest(sampled, sampled.size)
-    np.testing.assert_array_equal(model.reconstruct(), sampled)
-    assert model.objective == [0.0]
-    # the dark third costs nothing
-    kept = int(np.count_nonzero(sampled))
-    assert kept == 80 * 4 * 64
-    assert model.nbytes == 6 * kept + 2 * 80 * 4
-
-
-def test_the_largest_are_kept_by_area(sampled):
-    """The slow twin: sort all weighted squares, and add up what is left out."""
-    weights = np.where(np.arange(80) < 20, 9.0, 1.0)
-    model = keep_largest(sampled, 500, vertex_weights=weights)
-    scores = np.sort((weights[:, None, None] * sampled.astype(float) ** 2).ravel())
-    assert model.objective[-1] == pytest.approx(scores[:-500].sum(), rel=1e-6)
-    assert model.objective[-1] == pytest.approx(squared_error(model, sampled, weights), rel=1e-6)
-    assert len(model.values) == int(model.counts.sum()) == 500
-    # the negative twin: choosing without the areas leaves more
-    plain = keep_largest(sampled, 500)
-    assert squared_error(plain, sampled, weights) > 1.05 * model.objective[-1]
-    np.testing.assert_array_equal(model.reconstruct(slice(5, 9)), model.reconstruct()[5:9])
-
-
-def test_what_cannot_be_kept_is_refused(sampled):
-    with pytest.raises(SettingsError, match="n_kept"):
-        keep_largest(sampled, 0)
-    with pytest.raises(SettingsError, match="65536 coefficients"):
-        keep_largest(np.ones((1, 1, 65536), np.float32), 1)
-
-
 def test_a_black_tensor_has_no_error(sampled):
-    black = np.zeros_like(sampled)
-    assert keep_largest(black, 5).squared_error_ratio == 0.0
-    assert compressed(black, 2, 2).squared_error_ratio == 0.0
-
-
-def test_all_wavelets_are_the_signal(sampled):
-    model = compress_wavelets(sampled, sampled.size)
-    # one rounding of coefficients of up to 10 to float32
-    np.testing.assert_allclose(model.reconstruct(), sampled, rtol=0, atol=5e-6)
-    assert model.squared_error_ratio < 1e-12
-
-
-def test_wavelet_error_is_that_of_what_is_reconstructed(sampled):
-    weights = np.where(np.arange(80) < 20, 9.0, 1.0)
-    model = compress_wavelets(sampled, 900, vertex_weights=weights)
-    error = squared_error(model, sampled, weights)
-    assert model.objective[-1] == pytest.approx(error, rel=1e-5)
-    assert 0.01 < model.squared_error_ratio < 0.9
-    np.testing.assert_allclose(
-        model.reconstruct(slice(5, 9)), model.reconstruct()[5:9], rtol=0, atol=1e-6
-    )
-    assert model.nbytes == 6 * 900 + 2 * 80 * 4
-    # the negative twin: the faces in another order
-    moved = np.roll(model.reconstruct(), 16, axis=2)
-    assert np.sum((sampled - moved) ** 2) > 1.3 * np.sum((sampled - model.reconstruct()) ** 2)
-
-
-def test_a_constant_is_one_wavelet_a_face():
-    roots = np.sqrt(face_solid_angles(4)).reshape(1, 1, 16)
-    constant = np.tile(roots, (3, 2, 6)).astype(np.float32)
-    model = compress_wavelets(constant, 3 * 2 * 6)
-    np.testing.assert_allclose(model.reconstruct(), constant, rtol=1e-6)
-    assert compress_wavelets(constant, 3 * 2 * 6 - 1).squared_error_ratio == pytest.approx(1 / 36)
-
-
-def test_wavelets_are_the_largest_of_a_matrix_written_out(sampled):
-    """The slow twin: the transform as a matrix, of one unit texel after another."""
-    columns = [compress_wavelets(unit, 96).kept.reconstruct()[0, 0] for unit in _units()]
-    matrix = np.array(columns, dtype=float)
-    np.testing.assert_allclose(matrix @ matrix.T, np.eye(N_TEXELS), atol=1e-6)
-    scores = np.sort(((sampled.astype(float) @ matrix) ** 2).ravel())
-    model = compress_wavelets(sampled, 400)
-    assert model.objective[-1] == pytest.approx(scores[:-400].sum(), rel=1e-5)
-
-
-def _units():
-    return [row.reshape(1, 1, -1) for row in np.eye(N_TEXELS, dtype=np.float32)]
-
-
-@pytest.mark.parametrize("n_texels", [95, 54])
-def test_texels_that_are_no_cube_map_are_refused(n_texels):
-    with pytest.raises(SettingsError, match=f"{n_texels} texels"):
-        compress_wavelets(np.ones((2, 1, n_texels), np.float32), 3)
+    assert compressed(np.zeros_like(sampled), 2, 2).squared_error_ratio == 0.0
