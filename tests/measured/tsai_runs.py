@@ -63,9 +63,9 @@ class Settings:
 class Sampled:
     """An object on a plane: its transport in the directions of a cube map."""
 
-    def __init__(self, mesh: Mesh, settings: Settings) -> None:
+    def __init__(self, mesh: Mesh, settings: Settings, gap: float = 0.0) -> None:
         alone = Scene.from_parts([mesh])
-        plane = receiver_plane(alone.bounds, resolution=2, extent=2.0, gap=0.0)
+        plane = receiver_plane(alone.bounds, resolution=2, extent=2.0, gap=gap)
         self.scene = Scene.from_parts([mesh, plane])
         self.n_vertices = mesh.n_vertices
         self.areas: F64 = self.scene.areas[: mesh.n_vertices]
