@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.quantise import quantise, quantise_weights
+from prtbake_storage.decode.quantise import INT16_MAX, finest_scale, levels, quantise
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorisation import Factorisation
@@ -198,12 +198,14 @@ def compress(sampled: Sampled, baked: Baked, n_clusters: int) -> Compressed:
 
 def in_sixteen_bits(model: CtaModel) -> CtaModel:
     """Return the model as a reader of an asset sees it."""
-    values, scale = quantise_weights(model.weights, model.labels, model.n_clusters)
+    peaks = np.zeros((model.n_clusters, model.weights.shape[1]))
+    np.maximum.at(peaks, model.labels, np.abs(model.weights).astype(np.float64))
+    scale = finest_scale(peaks, INT16_MAX)[model.labels]
     return replace(
         model,
         light_bases=quantise(model.light_bases, (1,)).dequantised(),
         dual_bases=quantise(model.dual_bases, (2,)).dequantised(),
-        weights=values.astype(np.float32) * scale[model.labels],
+        weights=levels(model.weights, scale).astype(np.float32) * scale,
     )
 
 
