@@ -78,8 +78,8 @@ def test_objective_is_the_error_of_what_is_reconstructed(sampled):
     shuffled = np.roll(model.reconstruct(), 16, axis=2)
     assert np.sum((sampled - shuffled) ** 2) > 2.0 * np.sum((sampled - model.reconstruct()) ** 2)
     np.testing.assert_array_equal(model.reconstruct(slice(7, 11)), model.reconstruct()[7:11])
-    # of a dark segment one cluster is left
-    numbers = 4 * 3 + 6 * 80 * 2 + (4 * 3 + 2) * (2 + 1) * 3 * 16
+    # of a dark segment the mean of one cluster is left
+    numbers = 4 * 3 + 4 * (80 * 2 + 3 * (2 + 1) * 3 * 16) + 2 * 3 * 16
     assert model.nbytes == 4 * numbers
 
 
