@@ -209,6 +209,15 @@ class CompressSettings(Wire):
     max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     """Squared, relative to a part's transfer, rounding included: sizes are searched that end just
     below it.  Takes the place of `ranks`, `n_components` and `max_quantisation_error`."""
+    coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
+    """What a vertex pays for being a box diagonal off its cluster on the mesh, in root mean square
+    norms of the signal; null and 0 leave places aside, 0.05 is Chen's."""
+    overdraw_budget: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    """Share of the squared error that moving vertices to neighbours' clusters may add where that
+    saves draws; null moves none, 0.05 is Sloan's."""
+    registers: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Constant registers, of four numbers, of a renderer that the asset holds index buffers for;
+    null makes none."""
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     """Of a task."""
 

@@ -28,7 +28,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_storage.decode.sides import opposite_faces
+from prtbake_storage.decode.superclusters import Superclusters, check_superclusters
 from prtbake_storage.decode.transfer_basis import TransferBasis
 
 F32 = NDArray[np.float32]
@@ -145,6 +147,8 @@ class Part(Surface):
         (clusters, 3) true (view, light, vert) ranks; with means (terms, coeffs, components used).
     precision
         Bits of the factors and the error of rounding them; None where they were not rounded.
+    superclusters
+        Index buffers for renderers that hold a few clusters at a time, where they were asked for.
     """
 
     method: Method
@@ -159,6 +163,7 @@ class Part(Surface):
     components: F32 | None = None
     frames: F32 | None = None
     precision: Precision | None = None
+    superclusters: Superclusters | None = None
 
     @property
     def n_clusters(self) -> int:
@@ -185,6 +190,8 @@ class Part(Surface):
         for name in ("view_texture", "frames", "albedo_texture", "vertex_colours"):
             array = getattr(self, name)
             sizes[name] = 0 if array is None else int(array.nbytes)
+        if self.superclusters is not None:
+            sizes["superclusters"] = self.superclusters.nbytes
         return sizes
 
 
@@ -227,6 +234,16 @@ class Asset:
         for index, part in enumerate(self.parts):
             owner[slice(*part.vertex_range)] = index
         return owner
+
+    def faces_of(self, index: int) -> I32:
+        """(tris, 3) corners of a part's triangles, in the part's own numbering of vertices."""
+        start, stop = self.parts[index].vertex_range
+        first = self.faces[:, 0]
+        return self.faces[(first >= start) & (first < stop)] - np.int32(start)
+
+    def overdraw_of(self, index: int) -> float:
+        """Triangles of a part that are drawn a cluster at a time, over its triangles: 1 to 3."""
+        return average_overdraw(self.faces_of(index), self.parts[index].labels)
 
     @cached_property
     def opposite(self) -> I64 | None:
@@ -280,6 +297,16 @@ def check_asset(asset: Asset) -> None:
     torn = np.flatnonzero((owner != owner[:, :1]).any(axis=1))
     if torn.size:
         raise ValueError(f"mesh/faces: triangle {torn[0]} joins two parts")
+    for index, part in enumerate(asset.parts):
+        if part.superclusters is not None:
+            check_superclusters(
+                f"parts/{index}/superclusters",
+                part.superclusters,
+                asset.faces_of(index),
+                part.labels,
+                part.n_clusters,
+                part.vertex_range[0],
+            )
     _ = asset.opposite
 
 

@@ -15,6 +15,7 @@ from prtbake_storage.decode.quantise import (
     unpack_frames,
     unpack_units,
 )
+from prtbake_storage.decode.superclusters import Superclusters
 from prtbake_storage.errors import CorruptArtefact
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.basis import get_basis
@@ -101,7 +102,23 @@ def _part(group: h5py.Group, normals: F32) -> Part:
         view_basis=h5.get(group, "view_basis", "f", (None, None)).astype(np.float32),
         frames=_frames(group, normals[start:stop]),
         precision=_precision(group, bits),
+        superclusters=_superclusters(group, len(ranks)),
         **factors,
+    )
+
+
+def _superclusters(group: h5py.Group, n_clusters: int) -> Superclusters | None:
+    if not h5.has(group, "superclusters"):
+        return None
+    own = h5.child(group, "superclusters")
+    registers = h5.attribute(own, "registers")
+    if not isinstance(registers, int):
+        raise CorruptArtefact(f"{own.name}: registers is {registers!r}, not a whole number")
+    return Superclusters(
+        registers=registers,
+        of_cluster=h5.get(own, "of_cluster", "i", (n_clusters,)).astype(np.int32),
+        indices=h5.get(own, "indices", "i", (None, 3)).astype(np.int32),
+        starts=h5.get(own, "starts", "i", (None,)).astype(np.int32),
     )
 
 

@@ -17,11 +17,16 @@
         albedo albedo_texture vertex_colours factorisation/
         clusters/     labels ranks light_bases dual_bases means components
         weights       ...
+        superclusters/  of_cluster indices starts; attribute registers.  Where asked for
 
 Which factors a part has goes by its ``method``, see `prtbake_storage.decode.asset.FACTORS`.
 
 Where ``n_channels`` is 3, transfer differs by colour.  An axis ``channel*term``, and its like in
 the factors, then runs through red, green and blue one after the other, as ``c * terms + k``.
+
+A renderer that holds the data of few clusters at a time draws rows ``starts[s]`` to ``starts[s+1]``
+of ``superclusters/indices``, vertices of the mesh, with the clusters whose ``of_cluster`` is ``s``
+loaded, and adds up what it draws; a vertex whose cluster is of another supercluster is black.
 
 A rounded factor is an int8 or int16 dataset ``x`` beside a float32 dataset ``x_scale`` named by
 its attribute ``scale``; the value is ``(x - offset) * scale``, broadcast (the rows of ``weights``

@@ -18,6 +18,7 @@ from prtbake_storage.decode.quantise import (
     quantise_asset,
     round_part,
 )
+from prtbake_storage.decode.superclusters import Superclusters
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.basis import put_basis
 from prtbake_storage.hdf5.resources import put_directions, put_mesh
@@ -112,6 +113,8 @@ def _put_part(group: h5py.Group, part: Part, normals: F32, scales: Scales | None
             _put_levels(owner, name, rounded[name], scales[name])
         elif array is not None and array.size:
             h5.put(owner, name, array, AXES[name])
+    if part.superclusters is not None:
+        _put_superclusters(h5.group(group, "superclusters"), part.superclusters)
     if part.frames is not None and scales is not None:
         put_directions(group, "tangents", pack_tangents(part.name, part.frames, normals))
     elif part.frames is not None:
@@ -121,6 +124,13 @@ def _put_part(group: h5py.Group, part: Part, normals: F32, scales: Scales | None
 def _smallest_type(n_labels: int) -> np.dtype[np.signedinteger]:
     """Smallest signed integer type that holds 0 to ``n_labels`` - 1."""
     return np.dtype(np.min_scalar_type(-n_labels))
+
+
+def _put_superclusters(group: h5py.Group, groups: Superclusters) -> None:
+    h5.set_attribute(group, "registers", groups.registers)
+    h5.put(group, "of_cluster", groups.of_cluster, "clusters")
+    h5.put(group, "indices", groups.indices, "draws corners")
+    h5.put(group, "starts", groups.starts, "superclusters+1")
 
 
 def _put_levels(group: h5py.Group, name: str, levels: I16, scale: F32) -> None:

@@ -12,11 +12,11 @@ The product proposes; the residual itself decides, and the vertex moves only whe
 falls.  So neither rounding nor cancellation near zero error moves a vertex.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.arrays import B8, F32, F64, I32, I64, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.parallel import map_in_order
@@ -28,12 +28,16 @@ BOUND_SLACK = 1e-5
 # all pairs at the papers' settings where 7 % are possible; more keep the products efficient.
 BLOCK_VERTS = 64
 
+Pays = Callable[[I64, int, F64], B8]
+"""From vertices, a cluster and their squared residuals there to whether they may move."""
+
 
 def reclassify(
     z: View,
     factors: Sequence[ClusterFactors],
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
+    pays: Pays | None = None,
 ) -> int:
     """Move each vertex to the cluster that approximates it best; return how many moved.
 
@@ -44,6 +48,8 @@ def reclassify(
     labels, errors
         The present cluster of each vertex and its squared residual there; both are changed in
         place for the vertices that move.
+    pays
+        Tells whether vertices may move to a cluster where their residual is lower; None lets all.
     """
     proposed = propose_clusters(z, factors, labels, errors)
     candidates = np.flatnonzero(proposed != labels)
@@ -53,6 +59,8 @@ def reclassify(
         verts = candidates[groups[cluster]]
         residuals = squared_residuals(z[verts], factors[cluster])
         better = residuals < errors[verts]
+        if pays is not None:
+            better &= pays(verts, cluster, residuals)
         movers = verts[better]
         labels[movers] = cluster
         errors[movers] = residuals[better]

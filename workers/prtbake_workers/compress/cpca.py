@@ -17,6 +17,7 @@ from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress import gram_eigh, power_iteration
 from prtbake_workers.compress.affine_clusters import AffineClusters, RowSpace, projected_weights
 from prtbake_workers.compress.clusters import members_by_cluster
+from prtbake_workers.compress.coherence import Coherence
 from prtbake_workers.compress.cpca_adaptive import adapt
 from prtbake_workers.compress.cpca_iterative import iterate
 from prtbake_workers.compress.cpca_model import CpcaModel
@@ -54,6 +55,7 @@ def compress_cpca(
     max_iterations: int = 40,
     vertex_weights: NDArray[Any] | None = None,
     back_end: str = "gram_eigh",
+    coherence: Coherence | None = None,
     progress: Progress = no_progress,
 ) -> CpcaModel:
     """Approximate each row of ``signal`` by its cluster's mean and principal components.
@@ -81,6 +83,9 @@ def compress_cpca(
     back_end
         How principal components are found: ``gram_eigh`` decomposes Gram matrices,
         ``power_iteration`` takes one vector after the other, slower ([Miandji2011]_ appendix).
+    coherence
+        Lets vertices pay, in the clustering by means, for being far from their cluster on the mesh;
+        None for the signal alone.
     progress
         Called with the fraction done and a word on the state, at most once an iteration.
 
@@ -122,7 +127,8 @@ def compress_cpca(
     checked_count(max_iterations, "max_iterations")
 
     with same_bytes_on_any_threads():
-        fit = _Fit(x, weights, method, BACK_ENDS[back_end], max_iterations, progress)
+        row_space = BACK_ENDS[back_end]
+        fit = _Fit(x, weights, method, row_space, max_iterations, coherence, progress)
         clusters = fit.run(n_clusters, n_components, seed)
         model = _model(clusters, fit.trace, n_components, seed, notes)
         if model.n_clusters < n_clusters:
@@ -149,11 +155,14 @@ class _Fit:
         method: str,
         row_space: RowSpace,
         max_iterations: int,
+        coherence: Coherence | None,
         progress: Progress,
     ) -> None:
         self.x, self.weights, self.method, self.row_space = x, weights, method, row_space
         self.max_iterations, self.progress = max_iterations, progress
-        self.trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "CPCA")
+        self.coherence = coherence
+        energy = float(weights @ row_energy_by_chunks(x))
+        self.trace = ObjectiveTrace(energy, "CPCA", may_rise=coherence is not None)
 
     def run(self, n_clusters: int, n_components: int, seed: int) -> AffineClusters:
         """Cluster by means, then as the method does."""
@@ -185,6 +194,7 @@ class _Fit:
             rng=np.random.default_rng(seed),
             weights=self.weights,
             max_iterations=self.max_iterations,
+            coherence=self.coherence,
             progress=progress,
         )
         for value in found.objective:

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
-from prtbake_workers.compress.classify import reclassify
+from prtbake_workers.arrays import B8, F32, F64, I32, I64, Float32, Float64
+from prtbake_workers.compress.classify import Pays, reclassify
 from prtbake_workers.compress.cluster_factors import (
     ClusterFactors,
     fit_cluster,
@@ -30,6 +30,7 @@ from prtbake_workers.compress.cluster_factors import (
     vertex_step,
 )
 from prtbake_workers.compress.clusters import members_by_cluster, refill_empty_clusters
+from prtbake_workers.compress.coherence import ClusterPlaces, Coherence
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.energy import row_energy_by_chunks
 from prtbake_workers.compress.inputs import (
@@ -68,6 +69,7 @@ def compress_cta(
     max_iterations: int = 10,
     vertex_weights: NDArray[Any] | None = None,
     n_channels: int = 1,
+    coherence: Coherence | None = None,
     progress: Progress = no_progress,
 ) -> CtaModel:
     """Approximate a transfer tensor by clusters of vertices with a basis for each mode.
@@ -94,6 +96,10 @@ def compress_cta(
         of weight zero are approximated by what serves the others.
     n_channels
         Colour channels that the rows hold one after the other, at least 1.
+    coherence
+        Lets vertices pay for being far from their cluster on the mesh: the initial clusters are
+        coherent, and a vertex moves only where that does not cost it more than it wins.  None for
+        the transfer alone.
     progress
         Called with the fraction done and a word on the state, at most once a step.
 
@@ -135,7 +141,7 @@ def compress_cta(
 
     with same_bytes_on_any_threads():
         rng = np.random.default_rng(seed)
-        fit = _Fit(t, weights, ranks, n_clusters, n_channels, rng, max_iterations)
+        fit = _Fit(t, weights, ranks, n_clusters, n_channels, rng, max_iterations, coherence)
         fit.run(progress)
         return fit.model(seed, notes)
 
@@ -175,7 +181,9 @@ class _Fit:
         n_channels: int,
         rng: np.random.Generator,
         max_iterations: int,
+        coherence: Coherence | None,
     ) -> None:
+        self.coherence = coherence
         n_verts, n_rows, n_coeffs = transfer.shape
         self.transfer, self.weights, self.ranks = transfer, weights, ranks
         self.n_clusters, self.rng, self.max_iterations = n_clusters, rng, max_iterations
@@ -203,10 +211,12 @@ class _Fit:
             rng=self.rng,
             weights=self.weights,
             max_iterations=INITIAL_ITERATIONS,
+            coherence=self.coherence,
         ).labels
         for iteration in range(self.max_iterations):
             if iteration > 0:
-                if reclassify(self.z, self.factors, self.labels, self.errors) == 0:
+                pays = self._paying_moves()
+                if reclassify(self.z, self.factors, self.labels, self.errors, pays) == 0:
                     break
                 self._fill_empty_clusters()
             self._fit_clusters()
@@ -226,6 +236,20 @@ class _Fit:
         z = self.z.reshape(len(self.by_channel), self.ranks.view, -1)
         left_out = project_view(self.by_channel, self.view_basis, z)
         return np.asarray(left_out.reshape(len(self.z), self.n_channels).sum(axis=1))
+
+    def _paying_moves(self) -> Pays | None:
+        """Return what lets vertices move where E of [Chen2005]_ eq. (9) falls."""
+        if self.coherence is None or self.trace.squared_norm == 0.0:
+            return None
+        places = ClusterPlaces(self.coherence, self.labels, self.n_clusters)
+        unit = np.sqrt(self.trace.squared_norm / self.weights.sum())
+        own = np.sqrt(self.errors) / unit + places.own_cost()
+
+        def pays(verts: I64, cluster: int, residuals: F64) -> B8:
+            less: B8 = np.sqrt(residuals) / unit + places.cost(verts, cluster) < own[verts]
+            return less
+
+        return pays
 
     def _members(self) -> list[I32]:
         return members_by_cluster(self.labels, self.n_clusters)

@@ -3,7 +3,8 @@
 The LBG iteration [Linde1980]_ as [Sloan2003]_ section 4.1 uses it, with empty clusters re-seeded by
 splitting ([Chen2005]_ section 3.1.2), from seeds that are spread by squared distance or that lie
 anywhere in the signal's box.  Vector quantisation and the clusters of CPCA are these; CTA starts
-from them.
+from them.  With coherence, vertices also pay for being far from the rest of their cluster on
+the mesh (`coherence`).
 """
 
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from prtbake_workers.compress.clusters import (
     squared_distances,
     weighted_mean,
 )
+from prtbake_workers.compress.coherence import ClusterPlaces, Coherence, cheapest_clusters
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order
@@ -87,6 +89,7 @@ def lbg(
     tolerance: float = 1e-4,
     start: Start = "spread",
     improve: Improve | None = None,
+    coherence: Coherence | None = None,
     progress: Progress = no_progress,
 ) -> LbgResult:
     """Cluster the rows of ``signal`` by their distance to the clusters' means.
@@ -111,6 +114,9 @@ def lbg(
         cluster is a part of another.
     improve
         Called once an iteration, when clusters have their members and their means.
+    coherence
+        Adds what distance on the mesh costs, from the second iteration on, when there are
+        clusters to be near to; None for the signal alone.
     progress
         Called after each iteration.
 
@@ -118,16 +124,21 @@ def lbg(
     -----
     One matrix product ranks the means for all vertices; a vertex moves only when its squared
     distance, taken as the difference itself, falls.  So rounding in the product moves nobody, and
-    the objective never rises.
+    the objective never rises, but with coherence: then a vertex may go farther in the signal.
     """
     if start == "hyper_box":
         means = _means_in_box(signal, n_clusters, rng)
     else:
         means = _seed_means(signal, n_clusters, rng, weights)
     state = Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
-    trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(signal)), "LBG")
+    energy = float(weights @ row_energy_by_chunks(signal))
+    trace = ObjectiveTrace(energy, "LBG", may_rise=coherence is not None)
+    unit = float(np.sqrt(energy / weights.sum())) if energy > 0.0 else 1.0
     for iteration in range(max_iterations):
-        n_moved = _classify(signal, state)
+        if coherence is None or iteration == 0:
+            n_moved = _classify(signal, state)
+        else:
+            n_moved = _classify_coherently(signal, state, coherence, unit)
         refill_empty_clusters(signal, state.labels, state.squared_distances, weights, n_clusters)
         _update_means(signal, state, weights)
         if improve is not None:
@@ -189,10 +200,7 @@ def _seed_means(
 
 def _classify(signal: Float32[F32, "verts dims"], state: Clustering) -> int:
     """Move each vertex to its nearest mean; return how many moved."""
-    offset = state.means.mean(axis=0, dtype=np.float64).astype(np.float32)
-    centred = state.means - offset
-    # |x - m|^2 = |x - o|^2 - 2 (x - o).(m - o) + |m - o|^2: the first term is the vertex's own.
-    constant = row_energy(centred) + 2.0 * (centred.astype(np.float64) @ offset)
+    centred, constant, _ = _centred(state.means)
 
     def move(chunk: slice) -> int:
         rows = signal[chunk]
@@ -207,6 +215,40 @@ def _classify(signal: Float32[F32, "verts dims"], state: Clustering) -> int:
         return len(movers)
 
     return sum(map_in_order(move, row_chunks(signal)))
+
+
+def _classify_coherently(
+    signal: Float32[F32, "verts dims"], state: Clustering, coherence: Coherence, unit: float
+) -> int:
+    """Move each vertex to the cluster that costs it least, near in signal and on the mesh."""
+    centred, constant, offset = _centred(state.means)
+    places = ClusterPlaces(coherence, state.labels, len(state.means))
+
+    def move(chunk: slice) -> int:
+        rows = signal[chunk]
+        squared = row_energy(rows - offset)[:, None] + constant - 2.0 * (rows @ centred.T)
+        distances = np.sqrt(np.maximum(squared, 0.0)) / unit
+        proposed = cheapest_clusters(places, chunk, state.labels, distances)
+        movers = np.flatnonzero(proposed != state.labels[chunk])
+        state.labels[chunk][movers] = proposed[movers]
+        distance = row_energy(rows[movers] - state.means[proposed[movers]])
+        state.squared_distances[chunk][movers] = distance
+        return len(movers)
+
+    return sum(map_in_order(move, row_chunks(signal)))
+
+
+def _centred(
+    means: Float32[F32, "clusters dims"],
+) -> tuple[Float32[F32, "clusters dims"], Float64[F64, " clusters"], Float32[F32, " dims"]]:
+    """Return means m about their own mean o, the means' part of squared distances, and o.
+
+    |x - m|^2 = |x - o|^2 - 2 x.(m - o) + (|m - o|^2 + 2 o.(m - o)): the first term is the vertex's
+    own, the last the means' part.
+    """
+    offset = means.mean(axis=0, dtype=np.float64).astype(np.float32)
+    centred = means - offset
+    return centred, row_energy(centred) + 2.0 * (centred.astype(np.float64) @ offset), offset
 
 
 def _update_means(

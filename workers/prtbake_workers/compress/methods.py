@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.compress.coherence import Coherence
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.cta import compress_cta
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
+from prtbake_workers.compress.less_overdraw import less_overdraw_cpca, less_overdraw_cta
 from prtbake_workers.compress.pca import compress_pca
 from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.vq import compress_vq
@@ -34,7 +36,7 @@ class Model(Protocol):
 
     @property
     def objective(self) -> list[float]:
-        """Weighted squared error after each step, never rising."""
+        """Weighted squared error after each step, rising only where coherence or draws are paid."""
         ...
 
     @property
@@ -113,6 +115,12 @@ class Fit:
         (verts,) weights in the squared error, e.g. areas; ones when None.
     classification
         Of clustered PCA, one of `prtbake_workers.compress.cpca.METHODS`.
+    coherence
+        What being far from a cluster on the mesh costs; None for nothing.
+    faces
+        (tris, 3) corners of the part's triangles; needed with a budget of overdraw.
+    overdraw_budget
+        Share of the squared error that fewer draws may add; None moves no vertex for them.
     progress
         Called with the fraction done and a word on the state.
     """
@@ -122,6 +130,9 @@ class Fit:
     n_channels: int = 1
     vertex_weights: NDArray[Any] | None = None
     classification: str = "static"
+    coherence: Coherence | None = None
+    faces: Int32[I32, "tris 3"] | None = None
+    overdraw_budget: float | None = None
     progress: Progress = no_progress
 
 
@@ -156,7 +167,7 @@ def compress(
     SettingsError
         For what the method cannot use, with the argument as pointer.
     """
-    model = METHODS[method](coefficients, sizes, fit)
+    model = _drawn_less(METHODS[method](coefficients, sizes, fit), coefficients, fit)
     return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
 
 
@@ -169,6 +180,7 @@ def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
         seed=fit.seed,
         max_iterations=fit.max_iterations,
         vertex_weights=fit.vertex_weights,
+        coherence=fit.coherence,
         progress=fit.progress,
     )
 
@@ -192,6 +204,7 @@ def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
         seed=fit.seed,
         max_iterations=fit.max_iterations,
         vertex_weights=fit.vertex_weights,
+        coherence=fit.coherence,
         progress=fit.progress,
     )
 
@@ -205,6 +218,7 @@ def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> CtaModel:
         max_iterations=fit.max_iterations,
         vertex_weights=fit.vertex_weights,
         n_channels=fit.n_channels,
+        coherence=fit.coherence,
         progress=fit.progress,
     )
 
@@ -216,6 +230,19 @@ METHODS: Mapping[str, Compressor] = {"vq": _vq, "pca": _pca, "cpca": _cpca, "cta
 def _signal(coefficients: F32) -> F32:
     """Return the matrix of each vertex as one row."""
     return coefficients.reshape(len(coefficients), -1)
+
+
+def _drawn_less(model: CpcaModel | CtaModel, coefficients: F32, fit: Fit) -> CpcaModel | CtaModel:
+    """Spend the budget of overdraw, where there is one."""
+    if fit.overdraw_budget is None or fit.faces is None:
+        return model
+    budget, weights = fit.overdraw_budget, fit.vertex_weights
+    if isinstance(model, CtaModel):
+        return less_overdraw_cta(
+            model, coefficients, fit.faces, budget=budget, vertex_weights=weights
+        )
+    signal = _signal(coefficients)
+    return less_overdraw_cpca(model, signal, fit.faces, budget=budget, vertex_weights=weights)
 
 
 def factors_of(

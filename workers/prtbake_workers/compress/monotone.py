@@ -28,11 +28,14 @@ class ObjectiveTrace:
         Squared norm of the input in the objective's own units, >= 0.
     name
         What is being minimised, for the message.
+    may_rise
+        Whether something beside the squared error is traded for it, so that a rise is no fault.
     """
 
-    def __init__(self, squared_norm: float, name: str) -> None:
+    def __init__(self, squared_norm: float, name: str, *, may_rise: bool = False) -> None:
         self.squared_norm = squared_norm
         self.name = name
+        self.may_rise = may_rise
         self.values: list[float] = []
 
     def append(self, value: float) -> None:
@@ -46,7 +49,7 @@ class ObjectiveTrace:
         """
         if not math.isfinite(value):
             raise ObjectiveRose(f"{self.name}: objective {value} after {len(self.values)} steps")
-        if self.values:
+        if self.values and not self.may_rise:
             rise = value - self.values[-1]
             if rise > ALLOWED_RISE * self.squared_norm:
                 raise ObjectiveRose(
@@ -64,11 +67,15 @@ class ObjectiveTrace:
         return self.values[-1] / self.squared_norm
 
     def has_converged(self, tolerance: float) -> bool:
-        """Whether the last step won less than ``tolerance`` of the objective before it."""
+        """Whether the last step won less than ``tolerance`` of the objective before it.
+
+        Where that may rise, whether it changed by less.
+        """
         if not self.values:
             return False
         if self.values[-1] <= 0.0:
             return True
         if len(self.values) < 2:
             return False
-        return self.values[-2] - self.values[-1] < tolerance * self.values[-2]
+        won = self.values[-2] - self.values[-1]
+        return (abs(won) if self.may_rise else won) < tolerance * self.values[-2]

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress.coherence import Coherence
 from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.elbg import shift_clusters
 from prtbake_workers.compress.energy import row_energy_by_chunks
@@ -40,6 +41,7 @@ def compress_vq(
     seed: int,
     max_iterations: int = 40,
     vertex_weights: NDArray[Any] | None = None,
+    coherence: Coherence | None = None,
     progress: Progress = no_progress,
 ) -> CpcaModel:
     """Approximate each row of ``signal`` by the mean of its cluster.
@@ -63,6 +65,8 @@ def compress_vq(
         Most iterations, at least 1.
     vertex_weights
         Weight of each vertex in means and squared error, >= 0, e.g. its area; ones when None.
+    coherence
+        Lets vertices pay for being far from their cluster on the mesh; None for the signal alone.
     progress
         Called with the fraction done and a word on the state, once an iteration.
 
@@ -101,6 +105,7 @@ def compress_vq(
             weights=weights,
             max_iterations=max_iterations,
             start=first,
+            coherence=coherence,
             improve=partial(shift_clusters, rng=rng) if shifts else None,
             progress=progress,
         )

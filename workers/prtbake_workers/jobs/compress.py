@@ -1,7 +1,7 @@
 """Job kind ``compress``: the factors of every part, then the asset with them exact and rounded."""
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.asset import Asset, Part
+from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.hdf5.writer import write_asset
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.arrays import F32, F64
+from prtbake_workers.arrays import F32, F64, I32
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
+from prtbake_workers.compress.coherence import coherence_of
 from prtbake_workers.compress.methods import Fit, compress
+from prtbake_workers.compress.superclusters import make_superclusters, registers_of_clusters
 from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
@@ -43,7 +46,7 @@ def stages(
 
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
-    rounding = options(settings)
+    rounding, draws = options(settings), draw_settings(settings)
     kept = ROUNDING_SHARE if settings.bits == "auto" else 0.0
 
     def parts(results: Results) -> list[Task]:
@@ -59,6 +62,7 @@ def stages(
                     "max_error": settings.max_error,
                     "kept": kept,
                     "seed": seed,
+                    "draws": draws,
                 },
                 label=f"part {index}",
                 threads=settings.threads,
@@ -76,7 +80,8 @@ def stages(
             "energies": [result["initial_energy"] for result in results["compress"]],
             "rounding": rounding,
             "max_error": settings.max_error,
-            "compress": asked | {"seed": seed} | rounding | {"parts": compressions},
+            "registers": settings.registers,
+            "compress": asked | draws | {"seed": seed} | rounding | {"parts": compressions},
         }
         return [Task(f"{_MODULE}:assemble", args)]
 
@@ -131,6 +136,12 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     return {"plan": plan}
 
 
+def draw_settings(settings: CompressSettings) -> dict[str, Any]:
+    """Give the settings that say how often triangles are drawn, those that are set."""
+    given = settings.model_dump(mode="json", include={"coherence", "overdraw_budget", "registers"})
+    return {name: value for name, value in given.items() if value is not None}
+
+
 def spectrum_of(part: TransferPart) -> F64 | None:
     """Give the singular values of a part's BRDF; None where the file holds no factorisation."""
     values = (part.factorisation or {}).get("singular_values")
@@ -149,10 +160,21 @@ def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
     return own, coefficients
 
 
+def read_mesh(path: Path, part: TransferPart) -> tuple[F64, I32]:
+    """Read a part's positions (verts, 3), and triangles (tris, 3) in its own numbering."""
+    with open_transfer(path) as transfer:
+        header = transfer.header
+    start, stop = part.vertex_range
+    own = (header.faces[:, 0] >= start) & (header.faces[:, 0] < stop)
+    return header.positions[start:stop], header.faces[own] - np.int32(start)
+
+
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
     compression = PartCompression.from_dict(args["compression"])
+    draws = args["draws"]
+    positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)
     weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
 
     def progress(fraction: float, phase: str) -> None:
@@ -164,6 +186,9 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         n_channels=part.n_channels,
         vertex_weights=weights,
         classification=compression.classification,
+        coherence=coherence_of(positions, draws.get("coherence")),
+        faces=faces,
+        overdraw_budget=draws.get("overdraw_budget"),
         progress=progress,
     )
     inputs = compression.method, coefficients, compression, fit
@@ -185,6 +210,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "factor_bytes": int(model.nbytes),
         "transfer_bytes": int(coefficients.nbytes),
         "errors": {part.name: float(model.squared_error_ratio)},
+        "overdraw": average_overdraw(faces, model.labels),
         "notes": list(model.notes),
     }
 
@@ -211,6 +237,8 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                     f"{view_error:.2%} of the radiance: the lobe is narrow for it"
                 )
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
+        if args["registers"] is not None:
+            exact = with_superclusters(exact, args["registers"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
         write_asset(exact_path, exact, bits=32)
         rounded, delivered = write_delivered(path, exact, transfer, args)
@@ -221,6 +249,15 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bytes": size,
         "groups": rounded.asset.nbytes,
         "precision": [asdict(part.precision) for part in rounded.asset.parts if part.precision],
+        "superclusters": [
+            None
+            if part.superclusters is None
+            else {
+                "count": part.superclusters.n_superclusters,
+                "overdraw": len(part.superclusters.indices) / max(1, len(exact.faces_of(index))),
+            }
+            for index, part in enumerate(exact.parts)
+        ],
         "delivered": delivered,
         "errors": errors | rounded.errors,
         "notes": notes + rounded.notes,
@@ -232,6 +269,7 @@ def make_part(
 ) -> tuple[Part, float]:
     """Join a part's surface with its factors; also the view texture's error, 0 without one."""
     texture, error = None, 0.0
+    factors: dict[str, Any] = dict(arrays)
     factorisation = factorisation_from_tables(part.factorisation or {})
     if not factorisation.is_constant_phi:
         phi, error = fit_view_texture(factorisation)
@@ -251,7 +289,7 @@ def make_part(
         factorisation=part.factorisation,
         n_channels=part.n_channels,
         precision=None,
-        **arrays,
+        **factors,
     )
     return joined, error
 
@@ -270,3 +308,21 @@ def make_asset(
         provenance=dict(header.provenance)
         | {"transfer": source, "compress": compress | {"versions": versions()}},
     )
+
+
+def with_superclusters(asset: Asset, registers: int) -> Asset:
+    """Give every part index buffers for a renderer of so many registers."""
+    parts = tuple(
+        replace(
+            part,
+            superclusters=make_superclusters(
+                asset.faces_of(index),
+                part.labels,
+                registers_of_clusters(part.ranks, with_mean=part.means is not None),
+                registers,
+                first_vertex=part.vertex_range[0],
+            ),
+        )
+        for index, part in enumerate(asset.parts)
+    )
+    return replace(asset, parts=parts)

@@ -49,11 +49,13 @@ def gather(title: str, results: Results) -> dict[str, Any]:
                 name: part[name]
                 for name in (
                     "method", "clusters", "objective", "factor_bytes", "transfer_bytes", "notes",
+                    "overdraw",
                 )
             }
             for part in results.get("compress", [])
         ],
         "precision": results["quantise"][0]["precision"] if "quantise" in results else [],
+        "superclusters": results["quantise"][0]["superclusters"] if "quantise" in results else [],
         "asset_notes": results["quantise"][0]["notes"] if "quantise" in results else [],
         "views": [view for camera in results.get("validate", []) for view in camera["views"]],
         "previews": results["render"][0]["pictures"] if "render" in results else [],
@@ -159,7 +161,9 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             )
             for stage in args["stages"]
         ],
-        parts=part_accounts(plan["parts"], args["compressed"], args["precision"])
+        parts=part_accounts(
+            plan["parts"], args["compressed"], args["precision"], args["superclusters"]
+        )
         if args["compressed"]
         else [],
         effects=plan["effects"],

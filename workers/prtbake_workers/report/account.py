@@ -71,11 +71,13 @@ def part_accounts(
     parts: Sequence[Mapping[str, Any]],
     compressed: Sequence[Mapping[str, Any]],
     precision: Sequence[Mapping[str, Any]] = (),
+    superclusters: Sequence[Mapping[str, Any] | None] = (),
 ) -> list[dict[str, Any]]:
-    """Say of each part how it was compressed, how far, and with how many bits it is held."""
+    """Say of each part how it was compressed, how far, in how many bits, and how often drawn."""
     accounts = []
     held = precision or [{"bits": {}, "error": None}] * len(parts)
-    for part, factors, rounded in zip(parts, compressed, held, strict=True):
+    grouped = superclusters or [None] * len(parts)
+    for part, factors, rounded, groups in zip(parts, compressed, held, grouped, strict=True):
         start, stop = part["vertex_range"]
         compression = part["compression"]
         cta = factors["method"] == "cta"
@@ -93,6 +95,8 @@ def part_accounts(
                 "compression_ratio": factors["transfer_bytes"] / max(1, factors["factor_bytes"]),
                 "bits": dict(rounded["bits"]),
                 "quantisation_error": rounded["error"],
+                "overdraw": factors["overdraw"],
+                "superclusters": None if groups is None else dict(groups),
                 "objective": factors["objective"],
                 "notes": factors["notes"],
             }

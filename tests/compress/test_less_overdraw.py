@@ -1,0 +1,115 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prtbake_storage.decode.overdraw import average_overdraw
+from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress.cpca import compress_cpca
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.less_overdraw import less_overdraw_cpca, less_overdraw_cta
+from support.grid_mesh import sphere_faces
+from synthetic_transfer import equal_area_directions
+
+
+@pytest.fixture(scope="module")
+def faces(diffuse):
+    return sphere_faces(equal_area_directions(len(diffuse)))
+
+
+@pytest.fixture(scope="module")
+def areas(diffuse):
+    return 0.5 + np.random.default_rng(5).random(len(diffuse))
+
+
+@pytest.fixture(scope="module")
+def cpca(diffuse, areas):
+    return compress_cpca(diffuse, 20, 3, seed=1, vertex_weights=areas)
+
+
+@pytest.fixture(scope="module")
+def cta(coloured, areas):
+    return compress_cta(
+        coloured, 12, CtaRanks(5, 12, 6), seed=1, vertex_weights=areas, n_channels=3
+    )
+
+
+def _squared_error(model, data, areas):
+    gap = (model.reconstruct().astype(float) - data).reshape(len(data), -1)
+    return float(areas @ np.sum(gap**2, axis=1))
+
+
+@pytest.mark.parametrize("budget", [0.0, 0.05, 0.3])
+def test_a_clustered_pca_stays_within_the_budget(cpca, diffuse, faces, areas, budget):
+    less = less_overdraw_cpca(cpca, diffuse, faces, budget=budget, vertex_weights=areas)
+    error, before = (_squared_error(model, diffuse, areas) for model in (less, cpca))
+    # float32 factors, sums in float64
+    assert error <= (1.0 + budget) * before * (1.0 + 1e-5)
+    assert less.objective[-1] == pytest.approx(error, rel=1e-5)
+    assert less.squared_error_ratio == pytest.approx(error / cpca.initial_energy, rel=1e-5)
+    assert average_overdraw(faces, less.labels) < average_overdraw(faces, cpca.labels)
+    assert np.all(less.ranks <= cpca.ranks)
+    assert len(np.unique(less.labels)) == cpca.n_clusters
+
+
+def test_more_budget_is_less_overdraw_and_more_error(diffuse, faces, areas, rng):
+    size = np.sqrt(np.mean(diffuse.astype(float) ** 2))
+    noisy = (diffuse + 0.5 * size * rng.standard_normal(diffuse.shape)).astype(np.float32)
+    model = compress_cpca(noisy, 20, 3, seed=1, vertex_weights=areas)
+    little, much = (
+        less_overdraw_cpca(model, noisy, faces, budget=budget, vertex_weights=areas)
+        for budget in (0.0, 0.05)
+    )
+    assert average_overdraw(faces, much.labels) < average_overdraw(faces, little.labels)
+    assert _squared_error(much, noisy, areas) > _squared_error(little, noisy, areas)
+
+
+def test_a_fit_after_the_moves_wins_error_back(cpca, diffuse, faces, areas):
+    once = less_overdraw_cpca(cpca, diffuse, faces, budget=0.05, vertex_weights=areas, rounds=1)
+    again = less_overdraw_cpca(cpca, diffuse, faces, budget=0.05, vertex_weights=areas)
+    assert average_overdraw(faces, again.labels) <= average_overdraw(faces, once.labels)
+    for cluster in range(once.n_clusters):
+        members = once.labels == cluster
+        mean = np.average(diffuse[members].astype(float), axis=0, weights=areas[members])
+        np.testing.assert_allclose(once.means[cluster], mean, rtol=1e-4, atol=1e-6)
+    moved = once.labels != cpca.labels
+    assert moved.any()
+    cluster = int(once.labels[moved][0])
+    assert not np.allclose(once.means[cluster], cpca.means[cluster], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("budget", [0.0, 0.1])
+def test_a_tensor_model_stays_within_the_budget(cta, coloured, faces, areas, budget):
+    less = less_overdraw_cta(cta, coloured, faces, budget=budget, vertex_weights=areas)
+    error, before = (_squared_error(model, coloured, areas) for model in (less, cta))
+    assert error <= (1.0 + budget) * before * (1.0 + 1e-4)
+    assert less.objective[-1] == pytest.approx(error, rel=1e-4)
+    overdraw = [average_overdraw(faces, model.labels) for model in (less, cta)]
+    assert overdraw[0] <= overdraw[1]
+    assert (overdraw[0] < overdraw[1]) or budget == 0.0
+    # weights of a vertex that stays under the moved labels are of no use
+    wrong = _squared_error_of_moved_labels(cta, less, coloured, areas)
+    assert wrong > error or np.array_equal(less.labels, cta.labels)
+
+
+def _squared_error_of_moved_labels(before, after, data, areas):
+    return _squared_error(replace(before, labels=after.labels), data, areas)
+
+
+def test_same_input_same_bytes(cpca, diffuse, faces):
+    first, again = (less_overdraw_cpca(cpca, diffuse, faces, budget=0.05) for _ in range(2))
+    assert first.labels.tobytes() == again.labels.tobytes()
+    assert first.components.tobytes() == again.components.tobytes()
+
+
+@pytest.mark.parametrize("budget", [-0.1, np.nan])
+def test_a_budget_is_at_least_zero(cpca, cta, diffuse, coloured, faces, budget):
+    with pytest.raises(SettingsError, match="overdraw_budget"):
+        less_overdraw_cpca(cpca, diffuse, faces, budget=budget)
+    with pytest.raises(SettingsError, match="overdraw_budget"):
+        less_overdraw_cta(cta, coloured, faces, budget=budget)
+
+
+def test_a_signal_of_another_model_is_refused(cpca, diffuse, faces):
+    with pytest.raises(SettingsError, match="signal has 599 vertices, the model 600"):
+        less_overdraw_cpca(cpca, diffuse[1:], faces)
