@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan mitsuba tsai serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan chen mitsuba tsai serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -81,6 +81,10 @@ targets: setup ## Hold errors asked of compression against delivered files, into
 sloan: setup ## Redo the clustered PCA of Sloan's paper, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	$(BIN)/python tests/measured/sloan.py
+
+chen: setup ## Chen's tables of overdraw anew, into docs/measured (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/chen.py
 
 mitsuba: setup ## Hold baked scenes against Mitsuba 3, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
