@@ -91,7 +91,7 @@ def light_step(
     u_vert: Float64[F64, "verts kept"],
     root_weights: Float64[F64, " verts"],
     rank: int,
-    start: Float32[F32, "coeffs r_light"] | None = None,
+    start: Float32[F32, "coeffs given"] | None = None,
 ) -> Float32[F32, "coeffs r_light"]:
     """Return the best U_light,c for a given U_vert,c, or a better one than ``start``."""
     n_verts, r_view, n_coeffs = z.shape
@@ -121,7 +121,7 @@ def vertex_step(
 
 
 def _row_space(
-    rows: Float64[F64, "rows dims"], rank: int, start: Float64[F64, "kept dims"] | None
+    rows: Float64[F64, "rows dims"], rank: int, start: Float64[F64, "given dims"] | None
 ) -> Float64[F64, "kept dims"]:
     """Take one iteration from a start of full rank, which the sweeps repeat; all of it without."""
     if start is None or len(start) < rank:
