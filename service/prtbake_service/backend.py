@@ -12,6 +12,7 @@ from prtbake_storage.blobs import BlobStore, open_store
 from prtbake_storage.queue.engine import JobQueue
 from prtbake_storage.queue.settings import new_executor_id
 from prtbake_storage.records import (
+    CostRates,
     Database,
     Events,
     Jobs,
@@ -44,6 +45,7 @@ class Backend:
     uploads: Uploads
     workers: Workers
     keys: Keys
+    rates: CostRates
     blobs: BlobStore
     queue: JobQueue
     metrics: Metrics
@@ -63,6 +65,7 @@ class Backend:
             uploads=Uploads(database),
             workers=Workers(database),
             keys=Keys(database),
+            rates=CostRates(database),
             blobs=open_store(settings.blobs, owner=f"service-{new_executor_id()}"),
             queue=JobQueue(settings.database),
             metrics=metrics,

@@ -15,6 +15,7 @@ import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
+from prtbake.cli.calibrate import print_rates
 from prtbake.cli.exits import LEGEND, Exit
 from prtbake.cli.main import app
 from prtbake.cli.scene_words import medium_value, receiver_value, tangents_value
@@ -51,6 +52,23 @@ def test_submit_takes_settings(run: Run, service: LiveService, environment: str)
     job = json.loads(result.stdout)
     assert job["request"]["settings"]["n_lobes"] == 20
     assert (job["label"], job["request"]["seed"]) == ("cli", 5)
+
+
+def test_calibrate_submits_and_prints_the_rates(
+    run: Run, service: LiveService, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = run("calibrate", "--no-wait", "-o", "json")
+    assert made.exit_code == 0, made.output
+    assert json.loads(made.stdout)["kind"] == "calibrate"
+    print_rates(
+        {
+            "seconds": {"bake": {"rays": 1.25e-7, "tasks": 0.9}},
+            "stages": [{"stage": "bake", "measured": 2.0, "predicted": 2.1, "shipped": 4.0}],
+        }
+    )
+    printed = capsys.readouterr().out
+    for words in ("bake", "2.00", "2.10", "4.00", "rays", "1.25e-07"):
+        assert words in printed
 
 
 def test_submit_asset_from_words(

@@ -19,6 +19,7 @@ from prtbake_workers.jobs import report
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.plan import repairs
 from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from support.local_stages import registered, run_stages
 from support.scenes import (
     SMALL,
@@ -332,12 +333,16 @@ def test_estimate_plans_without_running(glossy_asset, store):
     quick = {"request": {"kind": "asset", **request}}
     results = run_stages(REGISTRY.stages("estimate", quick, context), store)
     estimate = REGISTRY.finish("estimate", quick, context, results).result
-    assert estimate["total_seconds"] == pytest.approx(sum(estimate["seconds"].values()))
+    between = len(estimate["seconds"]) * BETWEEN_STAGES_S
+    assert estimate["total_seconds"] == pytest.approx(sum(estimate["seconds"].values()) + between)
     assert estimate["plan"]["parts"][0]["n_terms"] > 1
     assert set(estimate["seconds"]) == {
-        "plan", "bake", "bounces", "compress", "fit_light", "render", "validate",
+        "plan", "bake", "bounces", "add_bounces", "join", "compress", "quantise", "fit_light",
+        "render", "validate", "report",
     }  # fmt: skip
-    assert set(estimate["artefact_bytes"]) == {"transfer.h5", "asset.h5"}
+    assert set(estimate["artefact_bytes"]) == {
+        "transfer.h5", "asset.h5", "asset-float32.h5", "light.h5",
+    }  # fmt: skip
     # with more workers it lasts less, down to what no other worker can help with
     lasting = {}
     for slots in (0, 1, 2, 1000):
@@ -362,7 +367,9 @@ def test_the_estimate_of_a_bake_holds_what_a_bake_does(glossy_asset, store):
             found[body["kind"], n_centres] = run_stages(stages, store)["estimate"][0]
     for n_centres in (42, 642):
         alone, whole = found["bake", n_centres], found["asset", n_centres]
-        assert set(alone["seconds"]) == {"plan", "bake", "bounces"}
+        assert set(alone["seconds"]) == {
+            "plan", "bake", "bounces", "add_bounces", "join", "report",
+        }  # fmt: skip
         assert set(alone["artefact_bytes"]) == {"transfer.h5"}
         assert alone["artefact_bytes"]["transfer.h5"] == whole["artefact_bytes"]["transfer.h5"]
         memory = alone["plan"]["memory_bytes"]
@@ -397,10 +404,13 @@ def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
         return run_stages(stages, store)["estimate"][0]
 
     compress = predict("compress", "transfer", settings=settings["compress"])
-    # the asset's own size, its two 16-bit copies and its mesh left out
-    assert compress["artefact_bytes"]["asset.h5"] == pytest.approx(quantised["bytes"], rel=0.5)
-    assert compress["total_seconds"] == sum(compress["seconds"].values()) > 0
-    assert compress["peak_memory_bytes"] > 250_000_000
+    # factors pack a little better or worse from scene to scene
+    assert compress["artefact_bytes"]["asset.h5"] == pytest.approx(quantised["bytes"], rel=0.1)
+    assert set(compress["seconds"]) == {"plan", "compress", "quantise", "report"}
+    between = len(compress["seconds"]) * BETWEEN_STAGES_S
+    assert compress["total_seconds"] > sum(compress["seconds"].values()) / 2 + between / 2 > 0
+    # the interpreter with its libraries, and a little for a little transfer
+    assert 130_000_000 < compress["peak_memory_bytes"] < 150_000_000
     means = predict("compress", "transfer", settings={"method": "cpca"})
     assert [part["compression"]["method"] for part in means["plan"]["parts"]] == ["cpca"] * 2
 
@@ -408,7 +418,8 @@ def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
     assert longer[0] < longer[1]
 
     render = predict("render", "asset", "light", settings={})
-    assert (render["total_seconds"], render["peak_memory_bytes"]) == (None, None)
+    assert render["total_seconds"] > render["seconds"]["render"] > 0.0
+    assert render["peak_memory_bytes"] is None
 
     roles = ("transfer", "asset", "light")
     assert predict("validate", *roles, settings=settings["validation"])["total_seconds"] > 0

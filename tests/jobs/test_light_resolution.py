@@ -66,7 +66,11 @@ def test_the_numbers_given_as_they_were_chosen_make_the_same_bake(
     assert alone["settings"] == planned["settings"]
     assert not any(one["effect"] == "light_resolution" for one in alone["plan"]["effects"])
     # planning is told to take longer, and holds what it looks at
-    assert alone["plan"]["seconds"]["plan"] < planned["plan"]["seconds"]["plan"]
+    tried = planned["plan"]["work"]["plan"]
+    assert min(tried["trial_rays"], tried["trial_flops"]) > 0.0
+    assert not alone["plan"]["work"]["plan"].keys() & {"trial_rays"} or (
+        alone["plan"]["work"]["plan"]["trial_rays"] == 0.0
+    )
 
 
 def test_an_estimate_predicts_what_the_bake_will_choose(store, request_and_context, joined):

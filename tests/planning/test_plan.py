@@ -8,7 +8,6 @@ from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning import plan as plan_module
-from prtbake_workers.planning.cost import CHILD_START_S
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.plan import MOST_BANDWIDTH, check_bandwidth, make_plan
 from prtbake_workers.planning.presets import LADDER, resolve_stages
@@ -47,7 +46,7 @@ def test_a_part_of_several_terms_is_compressed_as_asked(method):
     settings = resolve_stages("medium", AssetSettings(compress={"method": method}))
     part = plan_of(settings, 4)[1].parts[0]
     assert part.compression.method == method
-    assert part.cost.asset_bytes > 0
+    assert part.cost.factor_floats > 0
     # negative twin: left open it is a tensor
     assert plan_of(resolve_stages("medium", AssetSettings()), 4)[1].parts[0].compression.method == (
         "cta"
@@ -57,7 +56,8 @@ def test_a_part_of_several_terms_is_compressed_as_asked(method):
 def test_predictions_grow_with_what_they_predict():
     low = plan_of(resolve_stages("low", AssetSettings()), 4)[1]
     high = plan_of(resolve_stages("high", AssetSettings()), 16)[1]
-    assert high.parts[0].cost.bake_seconds > low.parts[0].cost.bake_seconds
+    for stage, units in (("bake", ("rays", "flops", "samples")), ("compress", ("product_flops",))):
+        assert all(high.work[stage][unit] > low.work[stage][unit] for unit in units)
     assert high.artefact_bytes["transfer.h5"] > low.artefact_bytes["transfer.h5"]
     assert high.peak_memory_bytes > low.peak_memory_bytes
 
@@ -82,18 +82,22 @@ def test_blocks_of_bounced_coefficients_cover_all_of_them_within_their_memory(mo
         assert len(blocks) >= least
         widest = max(stop - start for start, stop in blocks)
         assert 4 * scene.n_vertices * terms * (3 if coloured else 1) * (widest - 1) <= 4 << 20
-        assert plan.seconds["bounces"] > 0.0
+        assert plan.work["bounces"]["rays"] > 0.0
 
 
 def test_more_channels_mean_more_bytes_and_smaller_tiles():
     settings = resolve_stages("medium", AssetSettings())
     grey, coloured = (plan_of(settings, 4, share=0.1, coloured=c)[1] for c in (False, True))
-    assert coloured.artefact_bytes["transfer.h5"] == 3 * grey.artefact_bytes["transfer.h5"]
-    assert coloured.seconds["bounces"] > grey.seconds["bounces"]
+    costs = [one.parts[0].cost.transfer_bytes for one in (grey, coloured)]
+    assert costs[1] == 3 * costs[0]
+    # three channels pack better than one
+    assert 1.8 < coloured.artefact_bytes["transfer.h5"] / grey.artefact_bytes["transfer.h5"] < 3.0
+    flops = "sparse_flops"
+    assert coloured.work["bounces"][flops] == 3 * grey.work["bounces"][flops]
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_seconds_of_a_bake_are_those_of_its_tiles_added_up(threads):
+def test_the_work_of_a_bake_is_that_of_its_tiles_added_up(threads):
     """As the report adds up what it measures: each tile costs a start, whatever runs beside it."""
     found = {}
     for tile in (CHUNK, 10_000):
@@ -102,10 +106,13 @@ def test_the_seconds_of_a_bake_are_those_of_its_tiles_added_up(threads):
         found[len(plan.parts[0].tiles)] = plan
     n_tiles = -(-scene.n_vertices // CHUNK)
     assert set(found) == {1, n_tiles}
-    more = found[n_tiles].seconds["bake"] - found[1].seconds["bake"]
-    assert more == pytest.approx((n_tiles - 1) * CHILD_START_S, rel=1e-9)
-    work = found[1].seconds["bake"] - CHILD_START_S
-    assert work == pytest.approx(found[1].parts[0].cost.bake_seconds / threads, rel=1e-9)
+    one, many = (found[count].work["bake"] for count in (1, n_tiles))
+    assert (one["tasks"], many["tasks"]) == (1, n_tiles)
+    assert many["tables"] == n_tiles * one["tables"]
+    shared = {"rays", "flops", "samples", "values"}
+    assert {unit: many[unit] for unit in shared} == {unit: one[unit] for unit in shared}
+    alone = {"rays": 3 * 32**2 * scene.n_vertices / threads}
+    assert one["rays"] == pytest.approx(alone["rays"], rel=1e-12)
 
 
 @pytest.mark.parametrize("n_centres", [42, 162, 642])

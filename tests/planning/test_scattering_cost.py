@@ -6,13 +6,12 @@ import pytest
 
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.scattering_cost import (
-    ENTRIES_PER_SECOND,
     MOST_RUNS,
     ROWS_PER_TASK,
-    product_seconds,
+    product_work,
     row_runs,
     rows_memory_bytes,
-    rows_seconds,
+    rows_work,
     scattering_memory_bytes,
 )
 
@@ -34,13 +33,17 @@ def test_runs_hold_every_row_once_and_are_of_a_length(n_verts):
 def test_entries_are_what_costs():
     verts = {0: 30_000, 2: 10_000}
     coarse, fine = {0: COARSE, 2: COARSE}, {0: FINE, 2: COARSE}
-    longer = rows_seconds(verts, fine) - rows_seconds(verts, coarse)
-    assert longer == pytest.approx(30_000 * 400.0 / ENTRIES_PER_SECOND)
-    assert rows_seconds(verts, {}) == 0.0
+    few, many = (rows_work(verts, limits) for limits in (coarse, fine))
+    assert many["entries"] - few["entries"] == pytest.approx(30_000 * 400.0)
+    assert few["tasks"] == len(row_runs(30_000)) + len(row_runs(10_000))
+    # every run sorts its whole part
+    assert few["vertices"] == sum(len(row_runs(n)) * n for n in verts.values())
+    assert not any(rows_work(verts, {}).values())
     options = {"times": 3, "n_channels": 3, "n_coeffs": 162}
-    assert product_seconds(verts, fine, **options) == pytest.approx(
-        (3.0 * 30 + 10) / 40 * product_seconds(verts, coarse, **options)
+    slow, quick = (
+        product_work(verts, limits, **options)["sparse_flops"] for limits in (fine, coarse)
     )
+    assert slow == pytest.approx((3.0 * 30 + 10) / 40 * quick)
     channels = {0: 3, 2: 3}
     # the largest run, and the rows of all parts
     assert rows_memory_bytes(verts, coarse, channels) == rows_memory_bytes(

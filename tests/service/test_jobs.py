@@ -5,12 +5,16 @@ from datetime import UTC, datetime, timedelta
 
 import httpx
 import pytest
+import sqlalchemy as sa
 
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import Job, JobError, JobPage, Progress
+from prtbake_storage.contract.rates import NewRates
 from prtbake_storage.queue.memo import Memory, recall, remember
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.queue.stages import Measured
+from prtbake_storage.records.cost_rates import learn
+from prtbake_storage.records.models import CalibrationRow
 from support.rows import context_of
 
 PATIENT = {"Prefer": "wait=30"}
@@ -108,6 +112,40 @@ def test_estimate_answers_202_while_it_works(service: LiveService, http, environ
     assert job["request"]["request"]["kind"] == "fit_light"
     assert answer.headers["location"] == f"/v1/jobs/{job['id']}"
     assert job["id"] not in [item["id"] for item in http.get("/v1/jobs?limit=100").json()["items"]]
+
+
+def test_jobs_and_estimates_are_given_the_rates_that_count(
+    service: LiveService, http, environment: str
+) -> None:
+    def given(path: str) -> dict[str, object]:
+        answer = http.post(path, json=body_of(environment))
+        return context_of(service.backend.database, answer.json()["id"])
+
+    shipped = {"seconds": None, "factors": {}, "calibration": None}
+    assert given("/v1/jobs")["rates"] == shipped
+    estimated = given("/v1/jobs:estimate")
+    assert estimated["rates"] == shipped
+    assert estimated["tile_slots"] == service.backend.tile_slots()
+    with service.backend.database.write() as session:
+        learn(session, "calibrate-x", NewRates(seconds={"join": {"tasks": 3.0}}))
+    try:
+        assert given("/v1/jobs:estimate")["rates"] == shipped | {
+            "seconds": {"join": {"tasks": 3.0}}, "calibration": "calibrate-x",
+        }  # fmt: skip
+    finally:
+        with service.backend.database.write() as session:
+            session.execute(sa.delete(CalibrationRow))
+
+
+def test_no_two_calibrations_time_the_same_tasks(service: LiveService, http) -> None:
+    nonces = set()
+    for _ in range(2):
+        answer = http.post("/v1/jobs", json={"kind": "calibrate"})
+        assert answer.status_code == 202, answer.text
+        nonces.add(context_of(service.backend.database, answer.json()["id"])["nonce"])
+    assert len(nonces) == 2
+    answer = http.post("/v1/jobs", json={"kind": "calibrate", "mesh": "mesh-0000000000000000"})
+    assert answer.status_code == 422
 
 
 def test_estimate_gives_what_the_worker_found(service: LiveService, http, environment: str) -> None:

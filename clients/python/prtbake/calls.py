@@ -13,6 +13,7 @@ from prtbake_storage.contract.jobs import (
     ArtefactManifest,
     AssetRequest,
     BakeRequest,
+    CalibrateRequest,
     CompressRequest,
     Estimate,
     FitLightRequest,
@@ -42,6 +43,7 @@ JobSpec = (
     | ValidateRequest
     | AssetRequest
     | StudyRequest
+    | CalibrateRequest
     | Mapping[str, Any]
 )
 """A job request as a model or as plain JSON (checked by the service)."""

@@ -1,6 +1,7 @@
 """From the names in a request to what they stand for, checked at the time of submission."""
 
 import json
+import secrets
 from typing import Any
 
 from prtbake_service.backend import Backend
@@ -8,6 +9,7 @@ from prtbake_storage.contract.brdf import LambertSpec
 from prtbake_storage.contract.jobs import (
     AssetRequest,
     BakeRequest,
+    CalibrateRequest,
     CompressRequest,
     FitLightRequest,
     JobState,
@@ -34,6 +36,7 @@ AnyRequest = (
     | ValidateRequest
     | AssetRequest
     | StudyRequest
+    | CalibrateRequest
 )
 Context = dict[str, Any]
 
@@ -47,6 +50,10 @@ _FILES = {
 
 _NAMES_NOTHING = {"settings", "seed", "label", "priority", "timeout_s", "quality", "effects"}
 """Fields of a request that refer to nothing: points that differ in these share their context."""
+
+
+MOST_NONCE = 1 << 31
+"""A seed's limit: what a calibration times is seeded by its nonce, lest it be remembered."""
 
 
 class Resolver:
@@ -71,7 +78,8 @@ class Resolver:
             digest and spec (the first two None for a BRDF given in the request); ``materials``:
             as much of each one's BRDF, by group; ``artefacts``: digest, job and name by role;
             ``albedo_texture``: digest or None.  Of a study ``contexts``, which differ, and
-            ``points``: of each the place of its context, or why it is refused.
+            ``points``: of each the place of its context, or why it is refused.  Of a calibration a
+            ``nonce``, which no other has.
         """
         match request:
             case BakeRequest():
@@ -98,6 +106,8 @@ class Resolver:
                     "artefacts": self._artefacts(**references),
                     "environment": self._resource("environment", request.environment),
                 }
+            case CalibrateRequest():
+                return {"nonce": secrets.randbelow(MOST_NONCE)}
             case StudyRequest():
                 return self._study(request)
 

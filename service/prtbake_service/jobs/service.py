@@ -65,7 +65,7 @@ class JobService:
                 id=job_id or new_id(request.kind),
                 kind=request.kind,
                 request=body,
-                context=self._resolver.resolve(request),
+                context=self._resolver.resolve(request) | {"rates": self._backend.rates.current()},
                 project=self._project,
                 label=request.label,
                 priority=request.priority,
@@ -83,7 +83,11 @@ class JobService:
                 id=new_id("estimate"),
                 kind="estimate",
                 request={"request": request.model_dump(mode="json")},
-                context=self._resolver.resolve(request),
+                context=self._resolver.resolve(request)
+                | {
+                    "rates": self._backend.rates.current(),
+                    "tile_slots": self._backend.tile_slots(),
+                },
                 project=self._project,
                 internal=True,
                 quick=True,

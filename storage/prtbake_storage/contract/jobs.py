@@ -51,7 +51,9 @@ class JobState(StrEnum):
 
 TERMINAL = frozenset({JobState.succeeded, JobState.failed, JobState.canceled, JobState.expired})
 
-JobKind = Literal["bake", "compress", "fit_light", "render", "validate", "asset", "study"]
+JobKind = Literal[
+    "bake", "compress", "fit_light", "render", "validate", "asset", "study", "calibrate"
+]
 ArtefactRef = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}/[a-z0-9_.-]{1,100}$")]
 """``JOB/NAME`` of an artefact of an earlier job."""
 
@@ -217,6 +219,12 @@ def _points(base: Studied, axes: list[Axis]) -> list[StudyPoint]:
     return points
 
 
+class CalibrateRequest(_Request):
+    """Measure what work takes on this machine, for estimates: gives rates, and no file."""
+
+    kind: Literal["calibrate"] = "calibrate"
+
+
 JobRequest = Annotated[
     BakeRequest
     | CompressRequest
@@ -224,7 +232,8 @@ JobRequest = Annotated[
     | RenderRequest
     | ValidateRequest
     | AssetRequest
-    | StudyRequest,
+    | StudyRequest
+    | CalibrateRequest,
     Field(discriminator="kind"),
 ]
 job_request_adapter: TypeAdapter[
@@ -235,6 +244,7 @@ job_request_adapter: TypeAdapter[
     | ValidateRequest
     | AssetRequest
     | StudyRequest
+    | CalibrateRequest
 ] = TypeAdapter(JobRequest)
 
 
@@ -305,7 +315,8 @@ class Estimate(Wire):
     """What a job would do and cost, without running it; None stands for what is not predicted.
 
     ``seconds`` are those of each stage's tasks, added up; ``total_seconds`` is how long the job
-    would last on the workers that live now, if it had them for itself.
+    would last on the workers that live now, if it had them for itself.  Both go by the rates of the
+    last calibration (``prtbake calibrate``) or those that are shipped, and by what later jobs took.
     """
 
     plan: dict[str, Any]

@@ -30,12 +30,15 @@ def recall(store: BlobStore, key: str) -> Memory | None:
     return None
 
 
-def enter(results: Results, stage: Stage, memories: Sequence[Memory]) -> None:
+def enter(
+    results: Results, stage: Stage, memories: Sequence[Memory], *, recalled: bool = False
+) -> None:
     """Enter a finished stage's memories, in the order of its tasks."""
     results.add(
         stage.name,
         [memory.result for memory in memories],
         [memory.measured for memory in memories],
+        recalled=recalled,
     )
 
 

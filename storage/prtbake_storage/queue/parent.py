@@ -103,9 +103,11 @@ class JobRun:
                     work.done[position] = memory
                 else:
                     work.waiting.append(position)
+            recalled = bool(work.done)
             self._report(tally, work, now=True)
             self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
-            enter(results, stage, [work.done[position] for position in range(len(work.tasks))])
+            memories = [work.done[position] for position in range(len(work.tasks))]
+            enter(results, stage, memories, recalled=recalled)
         finished = self._runner.finish(run.kind, run.request, run.context, results)
         self._succeed(finished, tally)
 
@@ -197,6 +199,7 @@ class JobRun:
             result=finished.result,
             artefacts=artefacts,
             progress=tally.finished(),
+            rates=finished.rates,
         )
         if not published:
             self._check_stop()

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 from prtbake_storage.blobs.base import json_digest
+from prtbake_storage.contract.rates import NewRates
 from prtbake_storage.queue.code import code_version
 
 
@@ -81,6 +82,7 @@ class Results(Mapping[str, list[dict[str, Any]]]):
     def __init__(self) -> None:
         self._values: dict[str, list[dict[str, Any]]] = {}
         self._measured: dict[str, list[Measured]] = {}
+        self._recalled: set[str] = set()
 
     def __getitem__(self, stage: str) -> list[dict[str, Any]]:
         return self._values[stage]
@@ -95,14 +97,25 @@ class Results(Mapping[str, list[dict[str, Any]]]):
         """Costs of a finished stage's tasks, in order."""
         return self._measured[stage]
 
+    def recalled(self, stage: str) -> bool:
+        """Tell whether a task of a finished stage had run before the job came to it."""
+        return stage in self._recalled
+
     def add(
-        self, stage: str, values: Sequence[dict[str, Any]], measured: Sequence[Measured]
+        self,
+        stage: str,
+        values: Sequence[dict[str, Any]],
+        measured: Sequence[Measured],
+        *,
+        recalled: bool = False,
     ) -> None:
         """Enter a finished stage; its name must be new."""
         if stage in self._values:
             raise ValueError(f"two stages are called {stage!r}")
         self._values[stage] = list(values)
         self._measured[stage] = list(measured)
+        if recalled:
+            self._recalled.add(stage)
 
 
 @dataclass(frozen=True)
@@ -142,6 +155,7 @@ class Finished:
 
     result: dict[str, Any]
     artefacts: Sequence[ArtefactFile | tuple[str, str, str]] = field(default_factory=list)
+    rates: NewRates | None = None
 
     def __post_init__(self) -> None:
         names = [file[0] for file in self.artefacts]

@@ -1,5 +1,6 @@
 """The service's own database records."""
 
+from prtbake_storage.records.cost_rates import CostRates
 from prtbake_storage.records.database import Database, create_database
 from prtbake_storage.records.events import Events
 from prtbake_storage.records.internal import InternalJobs
@@ -14,6 +15,7 @@ from prtbake_storage.records.workers import Worker, Workers
 
 __all__ = [
     "Begun",
+    "CostRates",
     "Database",
     "Events",
     "InternalJobs",

@@ -156,6 +156,30 @@ class WorkerRow(Base):
     last_seen_s: Mapped[float] = mapped_column(_Seconds)
 
 
+class CalibrationRow(Base):
+    """Rates of the cost model as a calibration measured them; the newest counts."""
+
+    __tablename__ = "calibrations"
+
+    job_id: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
+    seconds: Mapped[dict[str, Any]] = mapped_column(_Json)
+    created: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class StageFactorRow(Base):
+    """What past jobs say that the rates of a calibration are off by in a stage.
+
+    ``calibration`` is empty for the rates that are shipped.
+    """
+
+    __tablename__ = "stage_factors"
+
+    calibration: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
+    stage: Mapped[str] = mapped_column(sa.String(40), primary_key=True)
+    log_factor: Mapped[float] = mapped_column(_Seconds)
+    jobs: Mapped[int]
+
+
 class ApiKeyRow(Base):
     """An API key; only its hash is kept."""
 

@@ -16,7 +16,9 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from prtbake_storage.contract.jobs import TERMINAL, JobError, JobState, Progress
+from prtbake_storage.contract.rates import NewRates
 from prtbake_storage.records.clock import utc_now
+from prtbake_storage.records.cost_rates import learn
 from prtbake_storage.records.database import Database
 from prtbake_storage.records.events import append_event, thin_progress
 from prtbake_storage.records.models import ArtefactRow, JobRow, TaskProgressRow
@@ -200,8 +202,12 @@ class Runs:
         result: dict[str, Any],
         artefacts: Sequence[NewArtefact],
         progress: Progress,
+        rates: NewRates | None = None,
     ) -> bool:
-        """Publish artefacts and success in one transaction; False if the job was stopped before."""
+        """Publish artefacts and success in one transaction; False if the job was stopped before.
+
+        ``rates`` are learnt in the same transaction: once a job, however often it is run.
+        """
         with self._database.write() as session:
             row = session.get(JobRow, job_id, with_for_update=True)
             if row is None or row.state != JobState.running or row.stopping is not None:
@@ -220,6 +226,8 @@ class Runs:
             row.result = result
             row.progress = progress.model_copy(update={"fraction": 1.0}).model_dump(mode="json")
             _end(session, row, JobState.succeeded, None)
+            if rates is not None:
+                learn(session, job_id, rates)
             return True
 
     def close(self, job_id: str, stop: Stop, *, cause: str | None = None) -> bool:

@@ -1,6 +1,6 @@
 """Job kind ``compress``: the factors of every part, then the asset with them exact and rounded."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,9 @@ from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.rounding import options
+from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
+from prtbake_workers.planning.stage_work import compress_work, quantise_work, total
 
 _MODULE = "prtbake_workers.jobs.compress"
 ROUNDING_SHARE = 0.1
@@ -110,6 +112,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     settings = CompressSettings.model_validate(args["settings"])
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:
         header = transfer.header
+    compressions = compressions_of(header, settings)
     parts = [
         {
             "name": part.name,
@@ -117,23 +120,64 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             "vertex_range": part.vertex_range,
             "n_terms": part.n_terms,
             "tiles": [],
-            "compression": asdict(
-                resolve_compression(
-                    settings,
-                    "medium",
-                    n_verts=part.n_vertices,
-                    n_terms=part.n_terms,
-                    n_coeffs=header.basis.n_coeffs,
-                    n_channels=part.n_channels,
-                    singular_values=spectrum_of(part),
-                )
-            ),
+            "compression": asdict(compression),
         }
+        for part, compression in zip(header.parts, compressions, strict=True)
+    ]
+    plan = {
+        "parts": parts,
+        "effects": header.provenance.get("effects", []),
+        "bounces": None,
+        "notes": [],
+        "work": work_of(header, settings, compressions),
+    }
+    return {"plan": plan}
+
+
+def compressions_of(header: TransferHeader, settings: CompressSettings) -> list[PartCompression]:
+    """Choose method, clusters and ranks of each part."""
+    return [
+        resolve_compression(
+            settings,
+            "medium",
+            n_verts=part.n_vertices,
+            n_terms=part.n_terms,
+            n_coeffs=header.basis.n_coeffs,
+            n_channels=part.n_channels,
+            singular_values=spectrum_of(part),
+        )
         for part in header.parts
     ]
-    effects = header.provenance.get("effects", [])
-    plan = {"parts": parts, "effects": effects, "bounces": None, "notes": [], "seconds": {}}
-    return {"plan": plan}
+
+
+def work_of(
+    header: TransferHeader, settings: CompressSettings, compressions: Sequence[PartCompression]
+) -> dict[str, dict[str, float]]:
+    """Count the work of compressing a transfer file and writing its asset."""
+    fits, quantise = [], []
+    for part, compression in zip(header.parts, compressions, strict=True):
+        size = {
+            "n_verts": part.n_vertices,
+            "n_terms": part.n_terms,
+            "n_coeffs": header.basis.n_coeffs,
+            "n_channels": part.n_channels,
+        }
+        fits.append(
+            compress_work(
+                compression,
+                **size,
+                iterations=settings.max_iterations,
+                threads=settings.threads,
+            )
+        )
+        quantise.append(
+            quantise_work(compression, **size, factor_floats=factor_floats(compression, **size))
+        )
+    return {
+        "plan": {"outlines": 1.0},
+        "compress": total(fits),
+        "quantise": total([{"tasks": 1.0}, *quantise]),
+    }
 
 
 def draw_settings(settings: CompressSettings) -> dict[str, Any]:

@@ -1,12 +1,16 @@
 """Quick job ``estimate``: validate and plan a request without running it."""
 
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import Any
+
+import numpy as np
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.jobs import (
     AssetRequest,
     BakeRequest,
+    CalibrateRequest,
     CompressRequest,
     Estimate,
     FitLightRequest,
@@ -15,40 +19,52 @@ from prtbake_storage.contract.jobs import (
     ValidateRequest,
     job_request_adapter,
 )
-from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
+from prtbake_storage.contract.settings import (
+    BakeSettings,
+    CompressSettings,
+    RenderSettings,
+    ValidateSettings,
+)
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics, TransferBasis
 from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.hdf5.transfer import TransferHeader, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
-from prtbake_workers.jobs import study_estimate
-from prtbake_workers.jobs.compress import spectrum_of
+from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.jobs import calibrate, study_estimate
+from prtbake_workers.jobs.compress import compressions_of, work_of
 from prtbake_workers.jobs.inputs import load_environment
 from prtbake_workers.jobs.plan import arguments, plan_scene
-from prtbake_workers.jobs.validate import check_kinship
-from prtbake_workers.planning.cost import (
-    compress_memory_bytes,
-    compress_seconds,
-    fit_seconds,
-    part_cost,
-    validate_seconds,
-)
+from prtbake_workers.jobs.validate import check_kinship, scene_of
+from prtbake_workers.jobs.work import Work, asset_memory, asset_work, n_texels, rates_of
+from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats, part_cost
+from prtbake_workers.planning.file_bytes import PartNumbers, asset_bytes, known_bytes, light_bytes
+from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.presets import (
+    PartCompression,
     PlannedBake,
     StageSettings,
-    resolve_compression,
     resolve_stages,
 )
-from prtbake_workers.planning.scattering_cost import row_runs
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S
+from prtbake_workers.planning.seen_pixels import look
+from prtbake_workers.planning.stage_work import fit_work, render_work, validate_work
 
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
 CPU_SECONDS = 300
 OneRequest = (
-    BakeRequest | CompressRequest | FitLightRequest | RenderRequest | ValidateRequest | AssetRequest
+    BakeRequest
+    | CompressRequest
+    | FitLightRequest
+    | RenderRequest
+    | ValidateRequest
+    | AssetRequest
+    | CalibrateRequest
 )
-BAKE_STAGES = ("plan", "bake", "scattering", "bounces")
+BAKE_STAGES = ("plan", "bake", "scattering", "bounces", "add_bounces", "join", "report")
 BAKE_FILES = ("transfer.h5",)
 """What a lone bake runs and leaves, of the plan of a whole asset."""
 
@@ -95,13 +111,23 @@ def predict(
             return _compress(request.settings, given, store)
         case FitLightRequest():
             load_environment(store, given["environment"]["canonical"])
-            return _only("fit_light", fit_seconds(request.settings), 1, given)
+            work = {"fit_light": fit_work(request.settings, n_texels=n_texels(given))}
+            return _only("fit_light", work, given).model_copy(
+                update={"artefact_bytes": {"light.h5": light_bytes(request.settings)}}
+            )
         case RenderRequest():
-            for name, read in (("asset", read_asset), ("light", read_light)):
-                read(store.local_path(given["artefacts"][name]["digest"]))
-            return _only("render", None, 1, given)
+            return _render(request.settings, given, store)
         case ValidateRequest():
             return _validate(request.settings, given, store)
+        case CalibrateRequest():
+            return Estimate(
+                plan={"kind": "calibrate"},
+                seconds={"calibrate": calibrate.SECONDS},
+                total_seconds=calibrate.SECONDS,
+                artefact_bytes={},
+                peak_memory_bytes=None,
+                errors={},
+            )
 
 
 def _scene(
@@ -114,27 +140,21 @@ def _scene(
     settings, quality = _settings(request)
     planned, plan = plan_scene(arguments(body, given, settings, quality), store)
     alone = isinstance(request, BakeRequest)
-    stages = tuple(name for name in plan.seconds if name in BAKE_STAGES or not alone)
-    seconds = {name: plan.seconds[name] for name in stages}
+    resolved = replace(settings, bake=BakeSettings.model_validate(planned.header["bake"]))
+    work = asset_work(plan.to_dict(), resolved, given)
+    if alone:
+        work = {name: own for name, own in work.items() if name in BAKE_STAGES}
     files = BAKE_FILES if alone else tuple(plan.artefact_bytes)
-    tasks = {
-        "bake": sum(len(part.tiles) for part in plan.parts),
-        "scattering": sum(
-            len(row_runs(part.vertex_range[1] - part.vertex_range[0]))
-            for index, part in enumerate(plan.parts)
-            if plan.bounces is not None and index in plan.bounces.scattering
-        ),
-        "bounces": 0 if plan.bounces is None else len(plan.bounces.blocks),
-        "compress": len(plan.parts),
-        "validate": len(settings.validation.cameras),
-    }
+    seconds, lasting = _durations(work, given)
     return Estimate(
         plan=plan.to_dict(),
         seconds=seconds,
-        total_seconds=_duration(seconds, tasks, given),
+        total_seconds=lasting,
         artefact_bytes={name: plan.artefact_bytes[name] for name in files},
         peak_memory_bytes=max(
-            count for stage, count in plan.memory_bytes.items() if stage in stages
+            count
+            for stage, count in asset_memory(plan.to_dict(), resolved, given).items()
+            if stage in work
         ),
         errors={
             f"K terms ({part['name']})": factorisation.energy_lost
@@ -150,40 +170,74 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
     """Predict from the header of the transfer."""
     with open_transfer(store.local_path(given["artefacts"]["transfer"]["digest"])) as transfer:
         header = transfer.header
-    bake, n_coeffs = _bake_of(header.basis), header.basis.n_coeffs
-    plan: dict[str, Any] = {"kind": "compress", "parts": []}
-    costs = []
-    for part in header.parts:
-        compression = resolve_compression(
-            settings,
-            "medium",
+    compressions = compressions_of(header, settings)
+    costs = [
+        part_cost(
+            _bake_of(header.basis),
+            compression,
             n_verts=part.n_vertices,
             n_terms=part.n_terms,
-            n_coeffs=n_coeffs,
             n_channels=part.n_channels,
-            singular_values=spectrum_of(part),
         )
-        plan["parts"].append({"name": part.name, "compression": asdict(compression)})
-        costs.append(
-            part_cost(
-                bake,
-                compression,
-                n_verts=part.n_vertices,
-                n_terms=part.n_terms,
-                shadows=False,
-                iterations=settings.max_iterations,
-                n_channels=part.n_channels,
-            )
-        )
-    seconds = {"compress": compress_seconds(costs)}
+        for part, compression in zip(header.parts, compressions, strict=True)
+    ]
+    work = work_of(header, settings, compressions) | {"report": REPORT_WORK}
+    seconds, lasting = _durations(work, given)
     return Estimate(
-        plan=plan,
+        plan={
+            "kind": "compress",
+            "parts": [
+                {"name": part.name, "compression": asdict(compression)}
+                for part, compression in zip(header.parts, compressions, strict=True)
+            ],
+            "work": work,
+        },
         seconds=seconds,
-        total_seconds=_duration(seconds, {"compress": len(costs)}, given),
-        artefact_bytes={"asset.h5": sum(cost.asset_bytes for cost in costs)},
+        total_seconds=lasting,
+        artefact_bytes=_asset_files(header, compressions, settings),
         peak_memory_bytes=compress_memory_bytes(costs),
         errors={},
     )
+
+
+def _asset_files(
+    header: TransferHeader, compressions: Sequence[PartCompression], settings: CompressSettings
+) -> dict[str, int]:
+    """Predict the files that compressing a transfer leaves."""
+    factorisations = [factorisation_from_tables(own.factorisation or {}) for own in header.parts]
+    known = known_bytes(
+        [header.positions, header.normals] + ([] if header.uv is None else [header.uv]),
+        header.faces,
+        [
+            [one for one in (own.albedo_texture, own.vertex_colours) if one is not None]
+            for own in header.parts
+        ],
+        factorisations,
+        [np.eye(3)[None] if own.frames is None else own.frames for own in header.parts],
+    )
+    numbers = []
+    for part, compression, brdf in zip(header.parts, compressions, factorisations, strict=True):
+        size = {
+            "n_verts": part.n_vertices,
+            "n_terms": part.n_terms,
+            "n_coeffs": header.basis.n_coeffs,
+            "n_channels": part.n_channels,
+        }
+        numbers.append(
+            PartNumbers(
+                n_verts=part.n_vertices,
+                n_rows=part.n_rows,
+                n_channels=part.n_channels,
+                even=part.role == "receiver",
+                n_coeffs=header.basis.n_coeffs,
+                factor_floats=factor_floats(compression, **size),
+                view_columns=compression.ranks[0] * brdf.n_channels,
+            )
+        )
+    return {
+        "asset.h5": asset_bytes(known, numbers, bits=settings.bits),
+        "asset-float32.h5": asset_bytes(known, numbers, bits=32),
+    }
 
 
 def _bake_of(basis: TransferBasis) -> PlannedBake:
@@ -199,33 +253,63 @@ def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStor
     check_kinship(digests | {"environment": given["environment"]["canonical"]}, store)
     with open_transfer(store.local_path(digests["transfer"])) as transfer:
         header = transfer.header
-    seconds = validate_seconds(
+    scene = scene_of(header)
+    media = [index for index, part in enumerate(header.parts) if part.subsurface is not None]
+    work = validate_work(
         settings,
+        PlannedBake.model_validate(header.provenance["bake"]),
+        seen=look(
+            scene,
+            Accelerator(scene.positions, scene.traced_faces),
+            settings.cameras,
+            width=settings.width,
+            height=settings.height,
+            object_ranges=[part.vertex_range for part in header.parts if part.role == "object"],
+            media=media,
+        ),
         n_terms=max(part.n_terms for part in header.parts),
-        n_dirs=3 * header.provenance["bake"]["cube_resolution"] ** 2,
+        n_texels=n_texels(given),
         baked_bounces=bool(header.provenance.get("interreflection")),
-        media=any(part.subsurface is not None for part in header.parts),
     )
-    return _only("validate", seconds, len(settings.cameras), given)
+    return _only("validate", {"validate": work}, given)
 
 
-def _only(kind: str, seconds: float | None, n_tasks: int, given: dict[str, Any]) -> Estimate:
-    """Predict the seconds of a job of one stage, or nothing."""
-    work = {} if seconds is None else {kind: seconds}
+def _render(settings: RenderSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
+    """Predict from the asset, and see that the light can be read."""
+    asset = read_asset(store.local_path(given["artefacts"]["asset"]["digest"]))
+    read_light(store.local_path(given["artefacts"]["light"]["digest"]))
+    values = sum(part.n_vertices * part.n_channels * len(part.view_basis) for part in asset.parts)
+    work = render_work(settings, n_verts=len(asset.positions), n_values=values)
+    return _only("render", {"render": work}, given)
+
+
+def _only(kind: str, work: Work, given: dict[str, Any]) -> Estimate:
+    """Predict the seconds of a job of one stage and its report."""
+    seconds, lasting = _durations(work | {"report": REPORT_WORK}, given)
     return Estimate(
-        plan={"kind": kind},
-        seconds=work,
-        total_seconds=_duration(work, {kind: n_tasks}, given) if work else None,
+        plan={"kind": kind, "work": work},
+        seconds=seconds,
+        total_seconds=lasting,
         artefact_bytes={},
         peak_memory_bytes=None,
         errors={},
     )
 
 
-def _duration(seconds: dict[str, float], tasks: dict[str, int], given: dict[str, Any]) -> float:
-    """Predict how long a job lasts: the tasks of a stage share the slots of all live workers."""
+def _durations(
+    work: Mapping[str, Mapping[str, float]], given: dict[str, Any]
+) -> tuple[dict[str, float], float]:
+    """Predict the seconds of every stage, and how long the job lasts.
+
+    The tasks of a stage share the slots of all live workers.
+    """
     slots = max(1, int(given.get("tile_slots", 1)))
-    return sum(work / min(slots, tasks.get(stage, 1)) for stage, work in seconds.items())
+    seconds = rates_of(given).all_seconds(work)
+    lasting = sum(
+        own / max(1.0, min(slots, work[stage].get("tasks", 1))) + BETWEEN_STAGES_S
+        for stage, own in seconds.items()
+    )
+    return seconds, lasting
 
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:

@@ -6,6 +6,8 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Effects, Quality
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
@@ -17,6 +19,7 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
 from prtbake_workers.brdf.harmonic_factorisation import HarmonicFactorisation
+from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
@@ -31,11 +34,14 @@ from prtbake_workers.jobs.scene_file import (
 )
 from prtbake_workers.planning.cluster_limit import cluster_note
 from prtbake_workers.planning.effects import decide_effects
+from prtbake_workers.planning.file_bytes import known_bytes
 from prtbake_workers.planning.grain import Grain, grain_notes
 from prtbake_workers.planning.ladder_steps import ladder_steps, neighbours
 from prtbake_workers.planning.light_resolution import choose_light_resolution
 from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan, occluders_of
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.seen_pixels import look
+from prtbake_workers.planning.stage_memory import Lobe
 from prtbake_workers.planning.subsurface import decide_subsurface
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.surface import OpaqueSurface
@@ -161,7 +167,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         (factorisations if part in scattering.parts else within)[part] for part in range(len(parts))
     )
     notes: tuple[str, ...] = ()
-    probe_bytes = 0
+    probe_bytes, probe_work = 0, {}
     if settings.bake.open_numbers:
         chosen = choose_light_resolution(
             scene,
@@ -172,7 +178,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             seed=args["seed"] + 6,
         )
         settings, notes = replace(settings, bake=chosen.bake), chosen.notes
-        probe_bytes = chosen.memory_bytes
+        probe_bytes, probe_work = chosen.memory_bytes, chosen.work
         effects.append(chosen.decision)
     spectra = [factorisation.singular_values for factorisation in factorisations]
     lay_out = partial(
@@ -202,6 +208,29 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         scattering=dict(zip(scattering.parts, scattering.limits, strict=True)),
         n_oriented=sum(own is not None for own in grain),
         probe_bytes=probe_bytes,
+        probe_work=probe_work,
+        known=known_bytes(
+            [scene.positions, scene.normals]
+            + ([] if scene.uv is None else [np.nan_to_num(scene.uv)]),
+            scene.faces,
+            [
+                [one for one in (texture, own) if one is not None]
+                for texture, own in zip(textures, colours, strict=True)
+            ],
+            factorisations,
+            [scene.frames[start:stop] for start, stop in scene.part_ranges],
+        ),
+        view_channels=[own.n_channels for own in factorisations],
+        lobes=[_lobe_of(brdf, own) for brdf, own in zip(brdfs, grain, strict=True)],
+        seen=look(
+            scene,
+            accelerator,
+            settings.validation.cameras,
+            width=settings.validation.width,
+            height=settings.validation.height,
+            object_ranges=_object_ranges(scene, roles),
+            media=[part for part, own in enumerate(media) if own is not None],
+        ),
     )
 
     def cost_of(
@@ -263,6 +292,17 @@ def _header(
             "occluders": [list(part.occluders) for part in plan.parts],
         },
     }
+
+
+def _lobe_of(brdf: Brdf, grain: Grain | None) -> Lobe:
+    if isinstance(brdf, Lambert):
+        return "none"
+    return "isotropic" if grain is None else "anisotropic"
+
+
+def _object_ranges(scene: Scene, roles: Sequence[str]) -> list[tuple[int, int]]:
+    """Give the vertices that cameras frame."""
+    return [own for own, role in zip(scene.part_ranges, roles, strict=True) if role == "object"]
 
 
 def _accelerators(scene: Scene, occluders: Sequence[tuple[int, ...]]) -> list[Accelerator | None]:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from prtbake_storage.contract.jobs import (
-    AssetRequest,
     BakeRequest,
     CompressRequest,
     FitLightRequest,
@@ -14,7 +13,9 @@ from prtbake_storage.contract.jobs import (
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Finished, Results, Stage
 from prtbake_workers.jobs import (
+    asset,
     bake,
+    calibrate,
     compress,
     estimate,
     fit_light,
@@ -24,7 +25,8 @@ from prtbake_workers.jobs import (
     study,
     validate,
 )
-from prtbake_workers.planning.presets import StageSettings, resolve_stages
+from prtbake_workers.jobs.work import done_work, learnt, rates_of
+from prtbake_workers.planning.presets import StageSettings
 
 Build = Callable[[dict[str, Any], dict[str, Any]], list[Stage]]
 
@@ -60,45 +62,13 @@ def _validate(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     )
 
 
-def _asset(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
-    """Chain all kinds: the main job."""
-    parsed = AssetRequest.model_validate(request)
-    settings = resolve_stages(parsed.quality, parsed.settings)
-    environment = context["environment"]["canonical"]
-
-    def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:
-        parts = results["plan"][0]["plan"]["parts"]
-        return results["join"][0]["transfer"], [part["compression"] for part in parts]
-
-    def lit(results: Results) -> dict[str, Any]:
-        return {
-            "asset": results["quantise"][0]["asset"],
-            "light": results["fit_light"][0]["light"],
-        }
-
-    def held(results: Results) -> dict[str, Any]:
-        return {
-            **lit(results),
-            "exact": results["quantise"][0]["exact"],
-            "transfer": results["join"][0]["transfer"],
-        }
-
-    return [
-        *bake.stages(request, context, settings, parsed.quality),
-        *compress.stages(planned, settings.compress, parsed.seed),
-        *fit_light.stages(environment, settings.fit_light, parsed.seed),
-        *render.stages(lit, settings.render),
-        *validate.stages(held, environment, settings.validation, parsed.seed),
-    ]
-
-
 KINDS: dict[str, Build] = {
     "bake": _bake,
     "compress": _compress,
     "fit_light": _fit_light,
     "render": _render,
     "validate": _validate,
-    "asset": _asset,
+    "asset": asset.stages,
 }
 QUICK: dict[str, Build] = {"register": register.stages, "estimate": estimate.stages}
 
@@ -112,10 +82,16 @@ class Registry:
             return QUICK[kind](request, context)
         if kind == "study":
             return study.stages(request, context, KINDS)
+        if kind == "calibrate":
+            return calibrate.stages(context)
         if kind not in KINDS:
             raise SettingsError(f"there is no job kind {kind!r}", pointer="/kind")
         title = request.get("label") or f"{kind} job"
-        return [*KINDS[kind](request, context), report.stage(title)]
+
+        def predicted(results: Results) -> dict[str, float]:
+            return rates_of(context).all_seconds(done_work(kind, results, context))
+
+        return [*KINDS[kind](request, context), report.stage(title, predicted)]
 
     def finish(
         self, kind: str, request: dict[str, Any], context: dict[str, Any], results: Results
@@ -127,7 +103,13 @@ class Registry:
             return estimate.finish(results)
         if kind == "study":
             return study.finish(results)
-        return Finished(result=report.summary(results), artefacts=report.artefacts(results))
+        if kind == "calibrate":
+            return calibrate.finish(results)
+        return Finished(
+            result=report.summary(results),
+            artefacts=report.artefacts(results),
+            rates=learnt(kind, results, context),
+        )
 
 
 REGISTRY = Registry()

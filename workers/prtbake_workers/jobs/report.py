@@ -1,6 +1,8 @@
 """The last stage of every job: ``report.json``, and ``report.html`` with the pictures."""
 
 import json
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from prtbake_storage.blobs.base import referenced_digests
@@ -8,6 +10,7 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
 from prtbake_workers.jobs import bounce
 from prtbake_workers.planning.ladder_steps import making_seconds
+from prtbake_workers.planning.rates import Rates
 from prtbake_workers.report.account import (
     StageAccount,
     make_report,
@@ -22,21 +25,24 @@ TILE_FIGURES = (
 )  # fmt: skip
 
 
-def stage(title: str) -> Stage:
-    """Gather what the stages before left, whichever they were."""
+def stage(title: str, predicted: Callable[[Results], Mapping[str, float]] = lambda _: {}) -> Stage:
+    """Gather what the stages before left, whichever they were; ``predicted`` are their seconds."""
 
     def report(results: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:write", gather(title, results), label="report")]
+        args = gather(title, results, predicted(results))
+        return [Task(f"{_MODULE}:write", args, label="report")]
 
     return Stage("report", "report", 1.0, report)
 
 
-def gather(title: str, results: Results) -> dict[str, Any]:
+def gather(
+    title: str, results: Results, predicted: Mapping[str, float] = MappingProxyType({})
+) -> dict[str, Any]:
     """Turn results into the arguments of the report: a pure function, without I/O."""
     plan = results["plan"][0]["plan"] if "plan" in results else None
     return {
         "title": title,
-        "stages": [stage_account(name, results, plan) for name in results],
+        "stages": [stage_account(name, results, plan, predicted) for name in results],
         "plan": plan,
         "tiles": [
             {name: tile[name] for name in TILE_FIGURES}
@@ -84,7 +90,8 @@ def _ladder(results: Results, plan: dict[str, Any] | None) -> list[dict[str, Any
     measured = {name: stage_cost(name, results)["seconds"] for name in results}
     own = {
         "quality": None,
-        "seconds": making_seconds(plan["seconds"]),
+        # as those beside it: by the rates that are shipped
+        "seconds": making_seconds(Rates().all_seconds(plan["work"])),
         "asset_bytes": plan["artefact_bytes"]["asset.h5"],
         "terms": [part["n_terms"] for part in plan["parts"]],
         "measured_seconds": making_seconds(measured),
@@ -109,8 +116,13 @@ def _numerics(results: Results) -> dict[str, Any]:
     return numerics
 
 
-def stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> dict[str, Any]:
-    """Give one stage's cost, its own errors and the files that it left."""
+def stage_account(
+    name: str,
+    results: Results,
+    plan: dict[str, Any] | None,
+    predicted: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Give one stage's cost, predicted and measured, its own errors and the files that it left."""
     errors: dict[str, float] = {}
     for result in results[name]:
         errors |= result.get("errors", {})
@@ -118,8 +130,8 @@ def stage_account(name: str, results: Results, plan: dict[str, Any] | None) -> d
         errors = projection_errors(plan["parts"], results["bake"])
     if name == "bounces":
         errors = bounce.errors(results)
-    predicted = plan["seconds"].get(name) if plan else None
-    return stage_cost(name, results) | {"predicted_seconds": predicted, "errors": errors}
+    seconds = predicted.get(name)
+    return stage_cost(name, results) | {"predicted_seconds": seconds, "errors": errors}
 
 
 def stage_cost(name: str, results: Results) -> dict[str, Any]:

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from prtbake_workers.planning.cost import CHILD_BYTES, WORKSPACE_BYTES
+from prtbake_workers.planning.cost import CHILD_BYTES
 from prtbake_workers.transport.separable_bounce import VERTICES_PER_PRODUCT
 
-TRANSFERS = 4
-"""Channels of transfer held at once: the sum, what was sent, what arrives, what leaves."""
+TRANSFERS = 3
+"""Channels of transfer held at once: the sum, what was sent, what arrives; what leaves takes the
+place of the latter, a part at a time."""
 
 
 def bounce_memory_bytes(
@@ -46,4 +47,4 @@ def bounce_memory_bytes(
         default=0,
     )
     radiance = 8 * carried * n_columns
-    return CHILD_BYTES + WORKSPACE_BYTES + transfer + round(rays) + radiance + scattering_bytes
+    return CHILD_BYTES + transfer + round(rays) + radiance + scattering_bytes

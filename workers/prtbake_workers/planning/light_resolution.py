@@ -81,13 +81,15 @@ class Candidate:
 class LightResolution:
     """Settings with nothing left open, why they are what they are, and what a report should say.
 
-    ``memory_bytes`` is what trying is predicted to have held, see `probe_memory_bytes`.
+    ``memory_bytes`` is what trying is predicted to have held, see `probe_memory_bytes`, ``work``
+    what it did: the amounts of `plan_work` for trials.
     """
 
     bake: PlannedBake
     decision: Decision
     notes: tuple[str, ...]
     memory_bytes: int
+    work: dict[str, float]
 
 
 def candidates(bake: BakeSettings) -> dict[int, tuple[int, ...]]:
@@ -180,6 +182,7 @@ def choose_light_resolution(
             n_directions=trials.n_directions,
             n_coeffs=tried[-1].n_centres,
         ),
+        {"trial_rays": float(trials.n_rays), "trial_flops": trials.flops},
     )
 
 
@@ -227,6 +230,7 @@ class _Trials:
         self.supersample = bake.supersample
         # given, it goes with a number of centres that is given
         self.bandwidth = bake.bandwidth
+        self.n_rays, self.flops = 0, 0.0
         self.owner = np.repeat(np.arange(len(parts)), [part.n_functions for part in parts])
         self.held_out = ProbeDirections.held_out(HELD_OUT_RESOLUTION, rng)
         self.truth = self._sample(self.held_out)
@@ -266,6 +270,9 @@ class _Trials:
             at = ProbeDirections.of_cube(resolution, self.supersample)
             self.sampled[resolution] = at, self._sample(at)
         coefficients = basis.fit(*self.sampled[resolution])
+        n_dirs, n = self.sampled[resolution][0].n, len(coefficients)
+        # the fit's system and its solution, and what is missed in directions held out
+        self.flops += 2.0 * n * (n_dirs * n + self.n_functions * (n_dirs + n + self.held_out.n))
         missed = self._sum(basis.missed(self.held_out, self.truth, coefficients))
         # where no light arrives nothing is lost of it
         shares = missed / np.where(self.signal > 0.0, self.signal, np.inf)
@@ -283,6 +290,8 @@ class _Trials:
         found = np.empty((self.n_functions, at.n), np.float32)
         start = 0
         for part in self.parts:
+            if part.accelerator is not None:
+                self.n_rays += part.n_vertices * at.rays.shape[0] * at.n // 2
             found[start : start + part.n_functions] = part.sample(at)
             start += part.n_functions
         return found

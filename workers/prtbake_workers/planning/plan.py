@@ -17,34 +17,52 @@ from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
 from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, pilot_tolerance
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.cost import (
-    CHILD_START_S,
-    ORIENTED_SECONDS,
-    PROBE_SECONDS,
     TILE_SECONDS,
     PartCost,
-    bounce_seconds,
+    before_basis_bytes,
     compress_memory_bytes,
-    compress_seconds,
-    fit_seconds,
     part_cost,
     plan_memory_bytes,
     tile_memory_bytes,
     tile_vertices,
-    validate_seconds,
 )
 from prtbake_workers.planning.decision import Decision
+from prtbake_workers.planning.file_bytes import (
+    Bits,
+    KnownBytes,
+    PartNumbers,
+    asset_bytes,
+    light_bytes,
+    transfer_bytes,
+)
 from prtbake_workers.planning.ladder_steps import LadderStep
+from prtbake_workers.planning.later_stages import later_memory, later_work
 from prtbake_workers.planning.presets import (
     PartCompression,
     PlannedBake,
     StageSettings,
     resolve_compression,
 )
+from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.scattering_cost import (
-    product_seconds,
+    product_work,
     rows_memory_bytes,
-    rows_seconds,
+    rows_work,
     scattering_memory_bytes,
+)
+from prtbake_workers.planning.seen_pixels import SeenPixels
+from prtbake_workers.planning.stage_memory import (
+    Lobe,
+    add_bounces_memory_bytes,
+    quantise_memory_bytes,
+)
+from prtbake_workers.planning.stage_work import (
+    bake_work,
+    bounce_work,
+    compress_work,
+    plan_work,
+    quantise_work,
+    total,
 )
 from prtbake_workers.transport.dipole import Dipole
 
@@ -70,6 +88,7 @@ class PartPlan:
     role: Role
     vertex_range: tuple[int, int]
     n_terms: int
+    lobe: Lobe
     occluders: tuple[int, ...]
     compression: PartCompression
     tiles: tuple[tuple[int, int], ...]
@@ -104,14 +123,16 @@ class BouncePlan:
 class Plan:
     """All that was decided before the first ray of the bake.
 
-    ``seconds`` of a stage are those of its tasks, added up: its work, not its duration;
-    ``memory_bytes`` of a stage those of its largest process, where they are predicted.
+    ``work`` of a stage are the amounts of it, see `stage_work`; ``seen`` what each camera of the
+    validation shows; ``memory_bytes`` of a stage those of its largest process, where they are
+    predicted.  The environment is taken to have `DEFAULT_TEXELS`: no bake depends on it.
     """
 
     parts: tuple[PartPlan, ...]
     effects: tuple[Decision, ...]
     bounces: BouncePlan | None
-    seconds: dict[str, float]
+    work: dict[str, dict[str, float]]
+    seen: tuple[SeenPixels, ...]
     artefact_bytes: dict[str, int]
     memory_bytes: dict[str, int]
     notes: tuple[str, ...]
@@ -122,6 +143,11 @@ class Plan:
     def peak_memory_bytes(self) -> int:
         """Memory of the largest process."""
         return max(self.memory_bytes.values())
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds of every stage by the rates that are shipped: the same on any machine."""
+        return Rates().all_seconds(self.work)
 
     def to_dict(self) -> dict[str, Any]:
         """Give the plan as JSON."""
@@ -205,8 +231,8 @@ def plan_bounces(
         for (start, stop), n_terms in zip(scene.part_ranges, part_terms, strict=True)
     )
     fitting = max(1, BLOCK_BYTES // (4 * n_channels * rows))
-    seconds = bounce_seconds(
-        scene,
+    work = bounce_work(
+        [stop - start for start, stop in scene.part_ranges],
         part_terms,
         bounces=bake.max_bounces,
         n_rays=n_rays,
@@ -216,8 +242,9 @@ def plan_bounces(
         n_coeffs=bake.n_coeffs,
         n_blocks=1,
     )
-    # every block casts the rays anew: two are worth it where there is work for two
-    least = 2 if media or seconds > TILE_SECONDS else 1
+    # every block casts the rays anew: two are worth it where there is work for two, by the rates
+    # that are shipped, since blocks are part of what a job makes
+    least = 2 if media or Rates().base_seconds("bounces", work) > TILE_SECONDS else 1
     n_blocks = max(min(least, bake.n_coeffs), -(-bake.n_coeffs // fitting))
     edges = [round(i * bake.n_coeffs / n_blocks) for i in range(n_blocks + 1)]
     return BouncePlan(
@@ -260,21 +287,27 @@ def make_plan(
     scattering: Mapping[int, ClusterLimit] = MappingProxyType({}),
     n_oriented: int = 0,
     probe_bytes: int = 0,
+    probe_work: Mapping[str, float] = MappingProxyType({}),
+    seen: Sequence[SeenPixels] = (),
+    known: KnownBytes | None = None,
+    view_channels: Sequence[int] = (),
+    lobes: Sequence[Lobe] = (),
 ) -> Plan:
-    """Lay out parts and tiles and predict their cost.
+    """Lay out parts and tiles, count their work, and predict what they hold and leave.
 
     ``names`` and ``roles`` are those of the scene's parts.
     ``chunk_vertices(n_rows, n_coeffs)`` gives the vertices that tiles must hold multiples of,
     ``spectra`` the singular values of each part's BRDF, ``media`` those of the parts that have one,
     ``scattering`` the parts of these whose scattering is simulated with what its clusters are
     allowed, ``n_oriented`` how many parts have an anisotropic BRDF, ``probe_bytes`` the memory that
-    choosing directions or centres took.
+    choosing directions or centres took and ``probe_work`` its amounts, ``seen`` what the
+    validation's cameras show, ``known`` what is known of the files, ``view_channels`` the channels
+    of each part's view side, 1 where none are given, ``lobes`` what their BRDFs are like.
     """
     bake = settings.planned_bake
     simulated = {part: media[part] for part in scattering}
     bounces = plan_bounces(scene, part_terms, effects, bake, simulated, scattering)
     n_channels = 1 if bounces is None else bounces.n_channels
-    probed = any(one.effect == "light_resolution" for one in effects)
     parts = []
     for index, (name, n_terms) in enumerate(zip(names, part_terms, strict=True)):
         start, stop = scene.part_ranges[index]
@@ -301,6 +334,7 @@ def make_plan(
                 role=roles[index],
                 vertex_range=(start, stop),
                 n_terms=n_terms,
+                lobe=lobes[index] if lobes else "none",
                 occluders=occluders,
                 compression=compression,
                 tiles=tuple((a, min(a + size, stop)) for a in range(start, stop, size)),
@@ -309,47 +343,65 @@ def make_plan(
                     compression,
                     n_verts=stop - start,
                     n_terms=n_terms,
-                    shadows=bool(occluders),
-                    iterations=settings.compress.max_iterations,
                     n_channels=n_channels,
                 ),
             )
         )
-    tiles = sum(len(part.tiles) for part in parts)
-    seconds = {
-        "plan": CHILD_START_S
-        + 2.0
-        + n_oriented * ORIENTED_SECONDS
-        + (PROBE_SECONDS if probed else 0.0),
-        # as the report measures it: summed over the tiles, whose threads work side by side
-        "bake": tiles * CHILD_START_S
-        + sum(part.cost.bake_seconds for part in parts) / bake.threads,
-        "compress": compress_seconds([part.cost for part in parts]),
-        "fit_light": fit_seconds(settings.fit_light),
-        "render": 5.0,
-        "validate": validate_seconds(
-            settings.validation,
-            n_terms=max(part_terms),
-            n_dirs=3 * bake.cube_resolution**2,
-            baked_bounces=bounces is not None and bounces.max_bounces > 0,
-            media=bool(media),
-        ),
-    }
+    work = _work_of_parts(parts, settings, bake, n_channels=n_channels)
+    work["plan"] = total(
+        [
+            plan_work(
+                bake,
+                n_verts=scene.n_vertices,
+                n_glossy=max(0, sum(terms > 1 for terms in part_terms) - n_oriented),
+                n_oriented=n_oriented,
+            ),
+            probe_work,
+        ]
+    )
     memory = {
-        "plan": plan_memory_bytes(bake, oriented=n_oriented > 0, probe_bytes=probe_bytes),
+        "plan": plan_memory_bytes(
+            bake,
+            probe_bytes=max(probe_bytes, before_basis_bytes(part_terms, n_oriented=n_oriented)),
+        ),
         "bake": max(
             tile_memory_bytes(
                 bake,
                 n_terms=part.n_terms,
                 n_verts=max(stop - start for start, stop in part.tiles),
+                flat=part.role == "receiver",
             )
             for part in parts
         ),
         "compress": compress_memory_bytes([part.cost for part in parts]),
+        "quantise": quantise_memory_bytes(
+            [
+                (
+                    part.vertex_range[1] - part.vertex_range[0],
+                    n_channels * part.n_terms * bake.n_coeffs,
+                )
+                for part in parts
+            ]
+        ),
     }
+    bounced = bounces is not None and bounces.max_bounces > 0
+    work |= later_work(
+        settings,
+        n_verts=[stop - start for start, stop in scene.part_ranges],
+        part_terms=part_terms,
+        seen=seen,
+        baked_bounces=bounced,
+    )
+    memory |= later_memory(
+        settings,
+        part_terms=part_terms,
+        lobes=[part.lobe for part in parts],
+        seen=seen,
+        baked_bounces=bounced,
+    )
     if bounces is not None:
         (decided,) = (one for one in effects if one.effect == "interreflection")
-        added_seconds, added_memory = _bounce_costs(
+        added_work, added_memory = _bounce_costs(
             scene,
             part_terms,
             bounces,
@@ -358,20 +410,108 @@ def make_plan(
             medium_channels={part: own.n_channels for part, own in media.items()},
             n_coeffs=bake.n_coeffs,
         )
-        seconds |= added_seconds
+        work |= added_work
         memory |= added_memory
+        tiles = sum(len(part.tiles) for part in parts)
+        memory["add_bounces"] = add_bounces_memory_bytes(
+            n_channels
+            * bake.n_coeffs
+            * max(part.n_terms * (stop - start) for part in parts for start, stop in part.tiles)
+        )
+        work["add_bounces"] = {"tasks": float(tiles), "values": work["join"]["values"]}
     return Plan(
         parts=tuple(parts),
         effects=tuple(effects),
         bounces=bounces,
-        seconds=seconds,
-        artefact_bytes={
-            "transfer.h5": sum(part.cost.transfer_bytes for part in parts),
-            "asset.h5": sum(part.cost.asset_bytes for part in parts),
-        },
+        work=work,
+        seen=tuple(seen),
+        artefact_bytes=_artefact_bytes(
+            parts,
+            known or KnownBytes(0, {16: 0, 32: 0}, (0,) * len(parts)),
+            view_channels or [1] * len(parts),
+            n_channels=n_channels,
+            n_coeffs=bake.n_coeffs,
+            bits=settings.compress.bits,
+        )
+        | {"light.h5": light_bytes(settings.fit_light)},
         memory_bytes=memory,
         notes=(*notes, *resolution_notes(bake)),
     )
+
+
+def _artefact_bytes(
+    parts: Sequence[PartPlan],
+    known: KnownBytes,
+    view_channels: Sequence[int],
+    *,
+    n_channels: int,
+    n_coeffs: int,
+    bits: Bits,
+) -> dict[str, int]:
+    numbers = [
+        PartNumbers(
+            n_verts=part.vertex_range[1] - part.vertex_range[0],
+            n_rows=n_channels * part.n_terms,
+            n_channels=n_channels,
+            even=part.role == "receiver" or not part.occluders,
+            n_coeffs=n_coeffs,
+            factor_floats=part.cost.factor_floats,
+            view_columns=part.compression.ranks[0] * channels,
+        )
+        for part, channels in zip(parts, view_channels, strict=True)
+    ]
+    return {
+        "transfer.h5": transfer_bytes(known, numbers),
+        "asset.h5": asset_bytes(known, numbers, bits=bits),
+        "asset-float32.h5": asset_bytes(known, numbers, bits=32),
+    }
+
+
+def _work_of_parts(
+    parts: Sequence[PartPlan], settings: StageSettings, bake: PlannedBake, *, n_channels: int
+) -> dict[str, dict[str, float]]:
+    """Count the work of the stages that every part goes through."""
+    sizes = [
+        {
+            "n_verts": part.vertex_range[1] - part.vertex_range[0],
+            "n_terms": part.n_terms,
+        }
+        for part in parts
+    ]
+    compress = [
+        compress_work(
+            part.compression,
+            **size,
+            n_coeffs=bake.n_coeffs,
+            iterations=settings.compress.max_iterations,
+            threads=settings.compress.threads,
+            n_channels=n_channels,
+        )
+        for part, size in zip(parts, sizes, strict=True)
+    ]
+    return {
+        "bake": total(
+            bake_work(bake, **size, shadows=bool(part.occluders), n_tiles=len(part.tiles))
+            for part, size in zip(parts, sizes, strict=True)
+        ),
+        "join": {"tasks": 1.0, "values": sum(own["values"] for own in compress)},
+        "compress": total(compress),
+        "quantise": total(
+            [
+                {"tasks": 1.0},
+                *(
+                    quantise_work(
+                        part.compression,
+                        **size,
+                        n_coeffs=bake.n_coeffs,
+                        factor_floats=part.cost.factor_floats,
+                        n_channels=n_channels,
+                    )
+                    for part, size in zip(parts, sizes, strict=True)
+                ),
+            ]
+        ),
+    }
 
 
 def _bounce_costs(
@@ -383,8 +523,8 @@ def _bounce_costs(
     *,
     medium_channels: Mapping[int, int],
     n_coeffs: int,
-) -> tuple[dict[str, float], dict[str, int]]:
-    """Predict seconds and memory of the stages of bounces and scattering.
+) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
+    """Count the work of the stages of bounces and scattering, and predict their memory.
 
     ``decided`` is the decision on interreflection, with what its probe found.
     """
@@ -392,29 +532,30 @@ def _bounce_costs(
     n_blocks = len(bounces.blocks)
     n_columns = max(stop - start for start, stop in bounces.blocks)
     expected = expected_bounces(decided, bounces)
-    seconds = {
-        "bounces": product_seconds(
-            n_verts,
-            scattering,
-            times=1 + expected,
-            n_channels=bounces.n_channels,
-            n_coeffs=n_coeffs,
+    work = {
+        "bounces": total(
+            [
+                bounce_work(
+                    tuple(n_verts.values()),
+                    part_terms,
+                    bounces=expected,
+                    n_rays=bounces.n_rays,
+                    later_rays=bounces.later_rays,
+                    hit_share=decided.evidence["hit_share"],
+                    n_channels=bounces.n_channels,
+                    n_coeffs=n_coeffs,
+                    n_blocks=n_blocks,
+                ),
+                product_work(
+                    n_verts,
+                    scattering,
+                    times=1 + expected,
+                    n_channels=bounces.n_channels,
+                    n_coeffs=n_coeffs,
+                ),
+            ]
         )
     }
-    if bounces.max_bounces:
-        seconds["bounces"] += bounce_seconds(
-            scene,
-            part_terms,
-            bounces=expected,
-            n_rays=bounces.n_rays,
-            later_rays=bounces.later_rays,
-            hit_share=decided.evidence["hit_share"],
-            n_channels=bounces.n_channels,
-            n_coeffs=n_coeffs,
-            n_blocks=n_blocks,
-        )
-    else:
-        seconds["bounces"] += n_blocks * CHILD_START_S
     memory = {
         "bounces": bounce_memory_bytes(
             tuple(n_verts.values()),
@@ -429,6 +570,6 @@ def _bounce_costs(
         )
     }
     if scattering:
-        seconds["scattering"] = rows_seconds(n_verts, scattering)
+        work["scattering"] = rows_work(n_verts, scattering)
         memory["scattering"] = rows_memory_bytes(n_verts, scattering, medium_channels)
-    return seconds, memory
+    return work, memory

@@ -1,14 +1,10 @@
-"""What rows of scattering cost: seconds to build and to multiply, bytes to hold."""
+"""What rows of scattering cost: work to build and to multiply, bytes to hold."""
 
 from collections.abc import Mapping
 from itertools import pairwise
 
 from prtbake_workers.planning.cluster_limit import ClusterLimit
-from prtbake_workers.planning.cost import (
-    CHILD_BYTES,
-    CHILD_START_S,
-    SPARSE_FLOPS_PER_SECOND,
-)
+from prtbake_workers.planning.cost import CHILD_BYTES
 from prtbake_workers.transport.part_scattering import COLUMNS_PER_PASS
 from prtbake_workers.transport.subsurface import VERTICES_PER_CHUNK
 
@@ -17,9 +13,6 @@ ROWS_PER_TASK = 1 << 15
 
 MOST_RUNS = 8
 """Of a part: each sorts all of its triangles anew, 5 to 8 microseconds a vertex."""
-
-ENTRIES_PER_SECOND = 2.0e6
-"""Of rows that are built, whatever their channels: clusters, and vertices of near triangles."""
 
 NODES_PER_VERTEX = 3
 """Clusters and triangles of the tree."""
@@ -37,27 +30,27 @@ def row_runs(n_verts: int) -> list[tuple[int, int]]:
     return list(pairwise(round(i * n_verts / max(1, n_runs)) for i in range(n_runs + 1)))
 
 
-def rows_seconds(n_verts: Mapping[int, int], limits: Mapping[int, ClusterLimit]) -> float:
-    """Predict the seconds of building the rows of all parts that scatter."""
-    built = (
-        len(row_runs(n_verts[part])) * CHILD_START_S
-        + n_verts[part] * limit.entries / ENTRIES_PER_SECOND
-        for part, limit in limits.items()
-    )
-    return sum(built, start=0.0)
+def rows_work(n_verts: Mapping[int, int], limits: Mapping[int, ClusterLimit]) -> dict[str, float]:
+    """Count what building the rows of all parts that scatter does; every run sorts its part."""
+    runs = {part: len(row_runs(n_verts[part])) for part in limits}
+    return {
+        "tasks": float(sum(runs.values())),
+        "vertices": float(sum(runs[part] * n_verts[part] for part in limits)),
+        "entries": sum((n_verts[part] * own.entries for part, own in limits.items()), start=0.0),
+    }
 
 
-def product_seconds(
+def product_work(
     n_verts: Mapping[int, int],
     limits: Mapping[int, ClusterLimit],
     *,
     times: int,
     n_channels: int,
     n_coeffs: int,
-) -> float:
-    """Predict the seconds of scattering all coefficients so many times."""
+) -> dict[str, float]:
+    """Count the multiplications of scattering all coefficients so many times."""
     entries = sum(n_verts[part] * limit.entries for part, limit in limits.items())
-    return times * 2.0 * entries * n_channels * n_coeffs / SPARSE_FLOPS_PER_SECOND
+    return {"sparse_flops": times * 2.0 * entries * n_channels * n_coeffs}
 
 
 def rows_memory_bytes(

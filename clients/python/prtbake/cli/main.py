@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from prtbake.cli import files, jobs
+from prtbake.cli.calibrate import calibrate
 from prtbake.cli.context import Target
 from prtbake.cli.demo import demo
 from prtbake.cli.exits import LEGEND
@@ -58,6 +59,7 @@ app.add_typer(estimate_group, name="estimate")
 app.add_typer(files.register_group, name="register")
 app.command()(demo)
 app.command()(serve)
+app.command()(calibrate)
 app.command()(jobs.wait)
 app.command()(jobs.watch)
 app.command()(jobs.logs)

@@ -1,0 +1,77 @@
+"""Predicted memory: how it grows, and where it stops growing."""
+
+import pytest
+
+from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_workers.planning.cost import CHILD_BYTES
+from prtbake_workers.planning.presets import PlannedBake
+from prtbake_workers.planning.seen_pixels import SeenPixels
+from prtbake_workers.planning.stage_memory import (
+    REBUILT_VERTS,
+    add_bounces_memory_bytes,
+    fit_memory_bytes,
+    quantise_memory_bytes,
+    render_memory_bytes,
+    validate_memory_bytes,
+)
+
+BAKE = PlannedBake(cube_resolution=8, n_centres=42)
+
+
+def validation(pixels=2000, vertices=50, lobe="none", terms=1, inside=0, **changes):
+    return validate_memory_bytes(
+        ValidateSettings(**{"samples": 32, "passes": 4} | changes.pop("settings", {})),
+        seen=[SeenPixels(10, 10, 0, (10,)), SeenPixels(pixels, vertices, inside, (pixels,))],
+        part_terms=[terms],
+        lobes=[lobe],
+        bake=BAKE,
+        n_texels=changes.pop("n_texels", 512),
+        **changes,
+    )
+
+
+def test_the_camera_that_shows_most_leads_validation():
+    plain = validation()
+    assert plain > CHILD_BYTES
+    for more in (
+        validation(pixels=4000),
+        validation(lobe="isotropic", terms=4),
+        validation(settings={"samples": 64}),
+        validation(settings={"passes": 8}),
+        validation(vertices=5000),
+        validation(n_texels=1 << 18),
+        validation(baked_bounces=True, settings={"bounce_samples": 32}),
+        validation(inside=5, settings={"bounce_samples": 32}),
+    ):
+        assert more > plain
+    lobes = ("none", "isotropic", "anisotropic")
+    assert [validation(lobe=lobe, terms=4) for lobe in lobes] == sorted(
+        validation(lobe=lobe, terms=4) for lobe in lobes
+    )
+
+
+def test_validation_works_in_blocks_that_bound_it():
+    """Of more samples only the pictures are kept."""
+    full, twice = (validation(pixels=n, settings={"samples": 512}) for n in (20_000, 40_000))
+    assert twice - full == 96 * 20_000 * 4
+    # many terms take smaller blocks
+    few, many = (
+        validation(pixels=20_000, lobe="isotropic", terms=t, settings={"samples": 512})
+        for t in (16, 64)
+    )
+    assert many < 1.2 * few
+
+
+def test_the_other_stages_grow_with_what_they_hold():
+    assert add_bounces_memory_bytes(0) == CHILD_BYTES
+    assert add_bounces_memory_bytes(2_000_000) - add_bounces_memory_bytes(1_000_000) == (
+        pytest.approx(14.5e6)
+    )
+    one = quantise_memory_bytes([(100, 600), (REBUILT_VERTS, 600)])
+    assert one == quantise_memory_bytes([(9 * REBUILT_VERTS, 600)])
+    assert one > quantise_memory_bytes([(100, 600)])
+    small, large = (render_memory_bytes(RenderSettings(width=w)) for w in (320, 640))
+    assert large > small
+    few, many = (fit_memory_bytes(FitLightSettings(n_lobes=n), n_texels=1 << 17) for n in (9, 90))
+    assert many > few
+    assert fit_memory_bytes(FitLightSettings(n_lobes=90), n_texels=64) < many

@@ -1,0 +1,97 @@
+"""The work of a job's stages, for estimates, reports and what later jobs are predicted by."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from prtbake_storage.contract.rates import NewRates
+from prtbake_storage.queue.stages import Results
+from prtbake_workers.planning.later_stages import (
+    DEFAULT_TEXELS,
+    REPORT_WORK,
+    later_memory,
+    later_work,
+)
+from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.rates import Rates
+from prtbake_workers.planning.seen_pixels import SeenPixels
+
+Work = dict[str, dict[str, float]]
+
+
+def n_texels(context: Mapping[str, Any]) -> int:
+    """Count the texels of the environment that a job's context names."""
+    understood = context.get("environment", {}).get("understood", {})
+    if "width" not in understood:
+        return DEFAULT_TEXELS
+    return int(understood["width"]) * int(understood["height"])
+
+
+def asset_work(
+    plan: Mapping[str, Any], settings: StageSettings, context: Mapping[str, Any]
+) -> Work:
+    """Count the work of all stages of an asset job.
+
+    ``plan`` is as `Plan.to_dict` gives it, ``settings`` have no number left open.
+    """
+    known: Work = plan["work"]
+    return known | later_work(
+        settings,
+        n_verts=[part["vertex_range"][1] - part["vertex_range"][0] for part in plan["parts"]],
+        part_terms=[part["n_terms"] for part in plan["parts"]],
+        seen=[SeenPixels(**one) for one in plan["seen"]],
+        n_texels=n_texels(context),
+        baked_bounces=_bounced(plan),
+    )
+
+
+def asset_memory(
+    plan: Mapping[str, Any], settings: StageSettings, context: Mapping[str, Any]
+) -> dict[str, int]:
+    """Predict the memory of all stages of an asset job."""
+    known: dict[str, int] = plan["memory_bytes"]
+    return known | later_memory(
+        settings,
+        part_terms=[part["n_terms"] for part in plan["parts"]],
+        lobes=[part["lobe"] for part in plan["parts"]],
+        seen=[SeenPixels(**one) for one in plan["seen"]],
+        n_texels=n_texels(context),
+        baked_bounces=_bounced(plan),
+    )
+
+
+def _bounced(plan: Mapping[str, Any]) -> bool:
+    return plan["bounces"] is not None and plan["bounces"]["max_bounces"] > 0
+
+
+def done_work(kind: str, results: Results, context: Mapping[str, Any]) -> Work:
+    """Count the work of a job that has done it; nothing of kinds that plan nothing."""
+    if "plan" not in results:
+        return {}
+    (planned,) = results["plan"]
+    if kind == "asset":
+        settings = StageSettings.from_dict(planned["settings"])
+        return asset_work(planned["plan"], settings, context)
+    return {**planned["plan"]["work"], "report": REPORT_WORK}
+
+
+def rates_of(context: Mapping[str, Any]) -> Rates:
+    """Give the rates as they were when the job was submitted."""
+    return Rates.from_dict(context.get("rates"))
+
+
+def learnt(kind: str, results: Results, context: Mapping[str, Any]) -> NewRates | None:
+    """Say what a finished job's stages took over what the rates alone predict.
+
+    Stages of which a task had run before are left out: their seconds are another time's, perhaps
+    another machine's.
+    """
+    rates = rates_of(context)
+    ratios = {}
+    for stage, amounts in done_work(kind, results, context).items():
+        if stage not in results or results.recalled(stage):
+            continue
+        predicted = rates.base_seconds(stage, amounts)
+        measured = sum((one.seconds for one in results.measured(stage)), start=0.0)
+        if predicted > 0.0 and measured > 0.0:
+            ratios[stage] = measured / predicted
+    return NewRates(ratios=ratios, calibration=rates.calibration) if ratios else None

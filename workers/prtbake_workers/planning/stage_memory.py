@@ -1,0 +1,114 @@
+"""Peak memory of the processes of the stages after the bake, by what they hold at once.
+
+Each begins with what its imports take; the rest was measured on small scenes and follows from how
+the stage cuts its work.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_workers.planning.cost import CHILD_BYTES
+from prtbake_workers.planning.presets import PlannedBake
+from prtbake_workers.planning.seen_pixels import SeenPixels
+from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
+
+Lobe = Literal["none", "isotropic", "anisotropic"]
+"""What a BRDF has beside its diffuse part."""
+
+REPORT_BYTES = 121_000_000
+FIT_BYTES = 124_000_000
+RENDER_BYTES = 165_000_000
+"""Of the interpreter with what each imports; of rendering with its drivers too."""
+
+PIXEL_BYTES = 370
+"""Of a preview, at four points a pixel."""
+
+VALUE_BYTES = 14.5
+"""Of a coefficient of a tile that bounces are laid over."""
+
+REBUILT_BYTES, REBUILT_VERTS = 20, 2048
+"""Of a coefficient that quantisation is measured by, at so many vertices at once."""
+
+SAMPLE_BYTES: dict[Lobe, int] = {"none": 155, "isotropic": 310, "anisotropic": 500}
+SAMPLE_TERM_BYTES = 40
+"""Of a light sample at a pixel, by what reflects it there, and of each term but for none."""
+
+CELL_BYTES: dict[Lobe, int] = {"none": 150, "isotropic": 150, "anisotropic": 500}
+CELL_TERM_BYTES = 15
+"""Of a vertex in one of the bake's directions, and of each term."""
+
+PATH_BYTES, MOST_PATH_BYTES = 670, 90_000_000
+"""Of a path, and of those under way at once."""
+
+CHAIN_BYTES = 96
+"""Of a pixel and pass: four pictures of three colours."""
+
+
+def add_bounces_memory_bytes(values: int) -> int:
+    """Predict what laying bounces over a tile of so many coefficients, all channels, holds."""
+    return CHILD_BYTES + round(VALUE_BYTES * values)
+
+
+def quantise_memory_bytes(parts: Sequence[tuple[int, int]]) -> int:
+    """Predict what writing the asset holds; parts are (vertices, coefficients of one vertex)."""
+    most = max(min(verts, REBUILT_VERTS) * values for verts, values in parts)
+    return CHILD_BYTES + REBUILT_BYTES * most
+
+
+def fit_memory_bytes(settings: FitLightSettings, *, n_texels: int) -> int:
+    """Predict what a light fit holds: four arrays of cells by lobes."""
+    if settings.method != "srbf_scattered":
+        return FIT_BYTES + 64 * n_texels
+    lobes = min(settings.n_lobes or 0, n_texels)
+    return FIT_BYTES + 32 * min(96 * lobes + 4096, n_texels) * lobes
+
+
+def render_memory_bytes(settings: RenderSettings) -> int:
+    """Predict what previews hold."""
+    return RENDER_BYTES + PIXEL_BYTES * settings.width * settings.height
+
+
+def validate_memory_bytes(
+    settings: ValidateSettings,
+    *,
+    seen: Sequence[SeenPixels],
+    part_terms: Sequence[int],
+    lobes: Sequence[Lobe],
+    bake: PlannedBake,
+    n_texels: int,
+    baked_bounces: bool = False,
+) -> int:
+    """Predict what the chain of pictures of the largest camera holds.
+
+    ``part_terms`` and ``lobes`` are those of each part.
+    """
+    paths = bool(settings.reference_bounces(baked=baked_bounces))
+    n_dirs = 6 * bake.cube_resolution**2
+    light = 8 * bake.n_coeffs * max(n_texels, 3 * n_dirs)
+    return CHILD_BYTES + max(
+        max(
+            light,
+            min(PATH_BYTES * one.pixels * settings.paths, MOST_PATH_BYTES)
+            if paths or one.inside
+            else 0,
+            *(
+                _part_bytes(pixels, one.vertices, settings.samples, n_dirs, terms, lobe)
+                for pixels, terms, lobe in zip(one.parts, part_terms, lobes, strict=True)
+            ),
+        )
+        + CHAIN_BYTES * one.pixels * settings.passes * len(settings.rotations_deg)
+        for one in seen
+    )
+
+
+def _part_bytes(
+    pixels: int, vertices: int, samples: int, n_dirs: int, terms: int, lobe: Lobe
+) -> int:
+    """Of lighting a part's pixels by samples, or its vertices from all directions, in blocks."""
+    most = min(RAYS_PER_BLOCK, VALUES_PER_BLOCK // terms)
+    of_terms = 0 if lobe == "none" else terms
+    return max(
+        min(most, pixels * samples) * (SAMPLE_BYTES[lobe] + SAMPLE_TERM_BYTES * of_terms),
+        min(most, vertices * n_dirs) * (CELL_BYTES[lobe] + CELL_TERM_BYTES * of_terms),
+    )
