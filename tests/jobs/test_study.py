@@ -221,6 +221,22 @@ def test_bakes_and_lights_can_be_studied(ball, store):
         assert points[0]["bytes"] < points[1]["bytes"]
 
 
+def test_an_error_that_no_lobes_meet_is_left_out(ball, store):
+    body, own, _ = ball
+    base = {
+        "kind": "fit_light", "environment": body["environment"],
+        "settings": {"n_lobes": 4, "max_iterations": 1},
+    }  # fmt: skip
+    axes = {"settings.max_error": [0.9, 1e-6]}
+    request, context = study_of(base, axes, own)
+    with pytest.raises(SettingsError, match=r"settings\.max_error = 1e-06: .*cannot be met"):
+        run_stages(REGISTRY.stages("study", request, context), store)
+    request, context = study_of(base, axes, own, skip_illegal=True)
+    done = run_stages(REGISTRY.stages("study", request, context), store)
+    result = REGISTRY.finish("study", request, context, done).result
+    assert (result["points"], result["skipped"]) == (1, 1)
+
+
 def test_what_only_the_transfer_can_refuse(compression, store):
     """An error that no sizes meet: the request is well formed."""
     base, own = compression

@@ -5,28 +5,33 @@ then dealt out again: every job goes on as if it had run by itself.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.jobs import compress, plan
+from prtbake_workers.jobs import compress, fit_light, plan
 
 _MODULE = "prtbake_workers.jobs.shared_stages"
-FITTING = "prtbake_workers.jobs.compress:compress_part"
 REFUSING = {
     "prtbake_workers.jobs.plan:plan": plan.plan,
     "prtbake_workers.jobs.compress:outline": compress.outline,
-    FITTING: compress.compress_part,
+    "prtbake_workers.jobs.compress:compress_part": compress.compress_part,
     "prtbake_workers.jobs.compress:assemble": compress.assemble,
+    "prtbake_workers.jobs.fit_light:fit": fit_light.fit,
 }
 """Tasks that refuse what only the inputs tell to be illegal, as an error that no sizes meet.
 
-They run anew in a job of its own: planning, and the last of compression, which is quick, and
-compression itself only where it is asked for an error.
+They run anew in a job of its own: planning, and the last of compression, which is quick, and what
+is `LONG` only where it is asked for an error.
 """
+LONG: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "prtbake_workers.jobs.compress:compress_part": lambda args: args["max_error"],
+    "prtbake_workers.jobs.fit_light:fit": lambda args: args["settings"].get("max_error"),
+}
+"""Of these, tasks that refuse nothing but an error, by what tells it from their arguments."""
 
 
 @dataclass
@@ -171,8 +176,8 @@ def merged(lists: Sequence[Sequence[str]]) -> list[str]:
 
 def attempted(task: Task) -> Task:
     """Turn a task that may refuse into one whose refusal is a result and not the job's end."""
-    is_fit = task.function == FITTING and task.args["max_error"] is None
-    if task.function not in REFUSING or is_fit:
+    asked_of = LONG.get(task.function)
+    if task.function not in REFUSING or (asked_of is not None and asked_of(task.args) is None):
         return task
     args = {"function": task.function, "args": task.args}
     return replace(task, function=f"{_MODULE}:attempt", args=args)
