@@ -156,7 +156,10 @@ def _figure_2(results: Sequence[Result]) -> str:
     counts = sorted({one.components for one in own})
     cells = {(one.clusters, one.components): one for one in own}
     return table(
-        ["clusters", *("means only" if n == 0 else f"{n} components" for n in counts)],
+        [
+            "clusters",
+            *("means only" if n == 0 else f"{n} component{'s' * (n > 1)}" for n in counts),
+        ],
         (
             [
                 str(clusters),
