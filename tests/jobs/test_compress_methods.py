@@ -99,6 +99,7 @@ def test_an_estimate_knows_the_bytes_of_every_method(store, transfer, method):
     planned = estimate["plan"]["parts"][0]["compression"]
     assert planned["method"] == method
     assert planned["n_clusters"] == exact.parts[0].n_clusters
-    made = sum(result["factor_bytes"] for result in results["compress"])
-    assert 2 * estimate["artefact_bytes"]["asset.h5"] == made
+    # gzip finds more to win in a small smooth file than in those that the shares are from
+    made = results["quantise"][0]["bytes"]
+    assert estimate["artefact_bytes"]["asset.h5"] == pytest.approx(made, rel=0.25)
     assert estimate["total_seconds"] > 0
