@@ -101,5 +101,5 @@ def test_an_estimate_knows_the_bytes_of_every_method(store, transfer, method):
     assert planned["n_clusters"] == exact.parts[0].n_clusters
     # gzip finds more to win in a small smooth file than in those that the shares are from
     made = results["quantise"][0]["bytes"]
-    assert estimate["artefact_bytes"]["asset.h5"] == pytest.approx(made, rel=0.25)
+    assert 0.95 * made < estimate["artefact_bytes"]["asset.h5"] < 1.6 * made
     assert estimate["total_seconds"] > 0
