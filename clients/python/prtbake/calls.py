@@ -9,19 +9,12 @@ import httpx
 from pydantic import BaseModel
 
 from prtbake_storage.contract.jobs import (
+    AnyRequest,
     Artefact,
     ArtefactManifest,
-    AssetRequest,
-    BakeRequest,
-    CalibrateRequest,
-    CompressRequest,
     Estimate,
-    FitLightRequest,
     Job,
     JobPage,
-    RenderRequest,
-    StudyRequest,
-    ValidateRequest,
 )
 from prtbake_storage.contract.resources import (
     BrdfRegistration,
@@ -35,17 +28,7 @@ from prtbake_storage.contract.resources import (
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
-JobSpec = (
-    BakeRequest
-    | CompressRequest
-    | FitLightRequest
-    | RenderRequest
-    | ValidateRequest
-    | AssetRequest
-    | StudyRequest
-    | CalibrateRequest
-    | Mapping[str, Any]
-)
+JobSpec = AnyRequest | Mapping[str, Any]
 """A job request as a model or as plain JSON (checked by the service)."""
 
 Registration = MeshRegistration | BrdfRegistration | EnvironmentRegistration

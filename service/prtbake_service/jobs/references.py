@@ -7,6 +7,7 @@ from typing import Any
 from prtbake_service.backend import Backend
 from prtbake_storage.contract.brdf import LambertSpec
 from prtbake_storage.contract.jobs import (
+    AnyRequest,
     AssetRequest,
     BakeRequest,
     CalibrateRequest,
@@ -28,16 +29,6 @@ from prtbake_storage.contract.resources import Resource
 from prtbake_storage.contract.study import describe
 from prtbake_storage.errors import Conflict, InputError, NotFound, SettingsError
 
-AnyRequest = (
-    BakeRequest
-    | CompressRequest
-    | FitLightRequest
-    | RenderRequest
-    | ValidateRequest
-    | AssetRequest
-    | StudyRequest
-    | CalibrateRequest
-)
 Context = dict[str, Any]
 
 _FILES = {

@@ -8,9 +8,16 @@ from pydantic import ValidationError
 
 from prtbake_service.backend import Backend
 from prtbake_service.errors_http import ProblemError, validation_entries
-from prtbake_service.jobs.references import AnyRequest, Resolver
+from prtbake_service.jobs.references import Resolver
 from prtbake_storage.blobs.base import json_digest
-from prtbake_storage.contract.jobs import Estimate, Job, JobKind, JobState, job_request_adapter
+from prtbake_storage.contract.jobs import (
+    AnyRequest,
+    Estimate,
+    Job,
+    JobKind,
+    JobState,
+    job_request_adapter,
+)
 from prtbake_storage.errors import Conflict, InputError, PrtError, TooLarge
 from prtbake_storage.queue.failures import CPU_LIMIT, OUT_OF_MEMORY
 from prtbake_storage.records import NewJob

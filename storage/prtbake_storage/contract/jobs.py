@@ -225,18 +225,7 @@ class CalibrateRequest(_Request):
     kind: Literal["calibrate"] = "calibrate"
 
 
-JobRequest = Annotated[
-    BakeRequest
-    | CompressRequest
-    | FitLightRequest
-    | RenderRequest
-    | ValidateRequest
-    | AssetRequest
-    | StudyRequest
-    | CalibrateRequest,
-    Field(discriminator="kind"),
-]
-job_request_adapter: TypeAdapter[
+AnyRequest = (
     BakeRequest
     | CompressRequest
     | FitLightRequest
@@ -245,7 +234,9 @@ job_request_adapter: TypeAdapter[
     | AssetRequest
     | StudyRequest
     | CalibrateRequest
-] = TypeAdapter(JobRequest)
+)
+JobRequest = Annotated[AnyRequest, Field(discriminator="kind")]
+job_request_adapter: TypeAdapter[AnyRequest] = TypeAdapter(JobRequest)
 
 
 class Progress(Wire):

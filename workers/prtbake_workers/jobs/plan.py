@@ -38,7 +38,8 @@ from prtbake_workers.planning.file_bytes import known_bytes
 from prtbake_workers.planning.grain import Grain, grain_notes
 from prtbake_workers.planning.ladder_steps import ladder_steps, neighbours
 from prtbake_workers.planning.light_resolution import choose_light_resolution
-from prtbake_workers.planning.plan import Plan, check_bandwidth, make_plan, occluders_of
+from prtbake_workers.planning.plan import check_bandwidth, make_plan, occluders_of
+from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_memory import Lobe

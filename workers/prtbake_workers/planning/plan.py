@@ -1,11 +1,8 @@
 """The plan of a job: parts, effects, tiles, and what they are expected to cost."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from itertools import pairwise
-from math import ceil, log
 from types import MappingProxyType
-from typing import Any
 
 from prtbake_storage.contract.settings import BakeSettings, Quality
 from prtbake_storage.decode.asset import Role
@@ -13,12 +10,10 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
 from prtbake_workers.planning.bounce_rays import bounce_rays, later_rays, pilot_tolerance
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.cost import (
     TILE_SECONDS,
-    PartCost,
     before_basis_bytes,
     compress_memory_bytes,
     part_cost,
@@ -28,28 +23,18 @@ from prtbake_workers.planning.cost import (
 )
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.file_bytes import (
-    Bits,
     KnownBytes,
-    PartNumbers,
-    asset_bytes,
     light_bytes,
-    transfer_bytes,
 )
-from prtbake_workers.planning.ladder_steps import LadderStep
 from prtbake_workers.planning.later_stages import later_memory, later_work
+from prtbake_workers.planning.planned import BouncePlan, PartPlan, Plan
+from prtbake_workers.planning.planned_costs import artefact_bytes, bounce_costs, work_of_parts
 from prtbake_workers.planning.presets import (
-    PartCompression,
     PlannedBake,
     StageSettings,
     resolve_compression,
 )
 from prtbake_workers.planning.rates import Rates
-from prtbake_workers.planning.scattering_cost import (
-    product_work,
-    rows_memory_bytes,
-    rows_work,
-    scattering_memory_bytes,
-)
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.stage_memory import (
     Lobe,
@@ -57,11 +42,8 @@ from prtbake_workers.planning.stage_memory import (
     quantise_memory_bytes,
 )
 from prtbake_workers.planning.stage_work import (
-    bake_work,
     bounce_work,
-    compress_work,
     plan_work,
-    quantise_work,
     total,
 )
 from prtbake_workers.transport.dipole import Dipole
@@ -75,83 +57,6 @@ BLOCK_BYTES = 256 << 20
 MOST_BANDWIDTH = 10.0
 """Largest bandwidth in defaults: amid three centres every function has sunk to 7 % of its peak (to
 77 % at the default), and what is integrated against them has to be cut ever finer."""
-
-
-@dataclass(frozen=True)
-class PartPlan:
-    """What is done to one part of the scene.
-
-    ``occluders`` lists the parts that may block its light; none means that no ray is traced.
-    """
-
-    name: str
-    role: Role
-    vertex_range: tuple[int, int]
-    n_terms: int
-    lobe: Lobe
-    occluders: tuple[int, ...]
-    compression: PartCompression
-    tiles: tuple[tuple[int, int], ...]
-    cost: PartCost
-
-
-@dataclass(frozen=True)
-class BouncePlan:
-    """How light that surfaces send to each other, and that scatters inside them, is simulated.
-
-    ``blocks`` are the runs of coefficients that tasks take; ``n_channels`` is 3 where each colour
-    has bounces of its own, as ``coloured`` says, or a medium has colours.  ``n_rays`` are those of
-    a vertex, part by part, in the first bounce and ``later_rays`` in those after it, at most: fewer
-    where one bounce by them is measured to err by less than ``noise_tolerance`` of direct light.
-    Parts in ``scattering`` scatter light inside, their clusters within ``solid_angles`` steradians
-    each; ``max_bounces`` is 0 where that is all there is.
-    """
-
-    n_channels: int
-    coloured: bool
-    n_rays: tuple[int, ...]
-    later_rays: tuple[int, ...]
-    noise_tolerance: float
-    max_bounces: int
-    tolerance: float
-    scattering: tuple[int, ...]
-    solid_angles: tuple[float, ...]
-    blocks: tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """All that was decided before the first ray of the bake.
-
-    ``work`` of a stage are the amounts of it, see `stage_work`; ``seen`` what each camera of the
-    validation shows; ``memory_bytes`` of a stage those of its largest process, where they are
-    predicted.  The environment is taken to have `DEFAULT_TEXELS`: no bake depends on it.
-    """
-
-    parts: tuple[PartPlan, ...]
-    effects: tuple[Decision, ...]
-    bounces: BouncePlan | None
-    work: dict[str, dict[str, float]]
-    seen: tuple[SeenPixels, ...]
-    artefact_bytes: dict[str, int]
-    memory_bytes: dict[str, int]
-    notes: tuple[str, ...]
-    ladder: tuple[LadderStep, ...] = ()
-    """Of an asset, the qualities beside its own."""
-
-    @property
-    def peak_memory_bytes(self) -> int:
-        """Memory of the largest process."""
-        return max(self.memory_bytes.values())
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Seconds of every stage by the rates that are shipped: the same on any machine."""
-        return Rates().all_seconds(self.work)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give the plan as JSON."""
-        return asdict(self)
 
 
 def occluders_of(part: int, roles: Sequence[Role], effects: Sequence[Decision]) -> tuple[int, ...]:
@@ -261,16 +166,6 @@ def plan_bounces(
     )
 
 
-def expected_bounces(decided: Decision, bounces: BouncePlan) -> int:
-    """Predict how many bounces the tolerance asks for, from what the first one adds."""
-    if bounces.max_bounces == 0:
-        return 0
-    share = decided.evidence["first_bounce_share"]
-    if not 0.0 < share < 1.0 or bounces.tolerance == 0.0:
-        return bounces.max_bounces
-    return min(bounces.max_bounces, max(1, ceil(log(bounces.tolerance) / log(share))))
-
-
 def make_plan(
     scene: Scene,
     names: Sequence[str],
@@ -347,7 +242,7 @@ def make_plan(
                 ),
             )
         )
-    work = _work_of_parts(parts, settings, bake, n_channels=n_channels)
+    work = work_of_parts(parts, settings, bake, n_channels=n_channels)
     work["plan"] = total(
         [
             plan_work(
@@ -401,7 +296,7 @@ def make_plan(
     )
     if bounces is not None:
         (decided,) = (one for one in effects if one.effect == "interreflection")
-        added_work, added_memory = _bounce_costs(
+        added_work, added_memory = bounce_costs(
             scene,
             part_terms,
             bounces,
@@ -425,7 +320,7 @@ def make_plan(
         bounces=bounces,
         work=work,
         seen=tuple(seen),
-        artefact_bytes=_artefact_bytes(
+        artefact_bytes=artefact_bytes(
             parts,
             known or KnownBytes(0, {16: 0, 32: 0}, (0,) * len(parts)),
             view_channels or [1] * len(parts),
@@ -437,139 +332,3 @@ def make_plan(
         memory_bytes=memory,
         notes=(*notes, *resolution_notes(bake)),
     )
-
-
-def _artefact_bytes(
-    parts: Sequence[PartPlan],
-    known: KnownBytes,
-    view_channels: Sequence[int],
-    *,
-    n_channels: int,
-    n_coeffs: int,
-    bits: Bits,
-) -> dict[str, int]:
-    numbers = [
-        PartNumbers(
-            n_verts=part.vertex_range[1] - part.vertex_range[0],
-            n_rows=n_channels * part.n_terms,
-            n_channels=n_channels,
-            even=part.role == "receiver" or not part.occluders,
-            n_coeffs=n_coeffs,
-            factor_floats=part.cost.factor_floats,
-            view_columns=part.compression.ranks[0] * channels,
-        )
-        for part, channels in zip(parts, view_channels, strict=True)
-    ]
-    return {
-        "transfer.h5": transfer_bytes(known, numbers),
-        "asset.h5": asset_bytes(known, numbers, bits=bits),
-        "asset-float32.h5": asset_bytes(known, numbers, bits=32),
-    }
-
-
-def _work_of_parts(
-    parts: Sequence[PartPlan], settings: StageSettings, bake: PlannedBake, *, n_channels: int
-) -> dict[str, dict[str, float]]:
-    """Count the work of the stages that every part goes through."""
-    sizes = [
-        {
-            "n_verts": part.vertex_range[1] - part.vertex_range[0],
-            "n_terms": part.n_terms,
-        }
-        for part in parts
-    ]
-    compress = [
-        compress_work(
-            part.compression,
-            **size,
-            n_coeffs=bake.n_coeffs,
-            iterations=settings.compress.max_iterations,
-            threads=settings.compress.threads,
-            n_channels=n_channels,
-        )
-        for part, size in zip(parts, sizes, strict=True)
-    ]
-    return {
-        "bake": total(
-            bake_work(bake, **size, shadows=bool(part.occluders), n_tiles=len(part.tiles))
-            for part, size in zip(parts, sizes, strict=True)
-        ),
-        "join": {"tasks": 1.0, "values": sum(own["values"] for own in compress)},
-        "compress": total(compress),
-        "quantise": total(
-            [
-                {"tasks": 1.0},
-                *(
-                    quantise_work(
-                        part.compression,
-                        **size,
-                        n_coeffs=bake.n_coeffs,
-                        factor_floats=part.cost.factor_floats,
-                        n_channels=n_channels,
-                    )
-                    for part, size in zip(parts, sizes, strict=True)
-                ),
-            ]
-        ),
-    }
-
-
-def _bounce_costs(
-    scene: Scene,
-    part_terms: Sequence[int],
-    bounces: BouncePlan,
-    decided: Decision,
-    scattering: Mapping[int, ClusterLimit],
-    *,
-    medium_channels: Mapping[int, int],
-    n_coeffs: int,
-) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
-    """Count the work of the stages of bounces and scattering, and predict their memory.
-
-    ``decided`` is the decision on interreflection, with what its probe found.
-    """
-    n_verts = {part: stop - start for part, (start, stop) in enumerate(scene.part_ranges)}
-    n_blocks = len(bounces.blocks)
-    n_columns = max(stop - start for start, stop in bounces.blocks)
-    expected = expected_bounces(decided, bounces)
-    work = {
-        "bounces": total(
-            [
-                bounce_work(
-                    tuple(n_verts.values()),
-                    part_terms,
-                    bounces=expected,
-                    n_rays=bounces.n_rays,
-                    later_rays=bounces.later_rays,
-                    hit_share=decided.evidence["hit_share"],
-                    n_channels=bounces.n_channels,
-                    n_coeffs=n_coeffs,
-                    n_blocks=n_blocks,
-                ),
-                product_work(
-                    n_verts,
-                    scattering,
-                    times=1 + expected,
-                    n_channels=bounces.n_channels,
-                    n_coeffs=n_coeffs,
-                ),
-            ]
-        )
-    }
-    memory = {
-        "bounces": bounce_memory_bytes(
-            tuple(n_verts.values()),
-            part_terms,
-            n_rays=bounces.n_rays if bounces.max_bounces else [0] * len(part_terms),
-            hit_share=decided.evidence["hit_share"],
-            n_channels=bounces.n_channels,
-            n_columns=n_columns,
-            scattering_bytes=scattering_memory_bytes(
-                n_verts, scattering, medium_channels, n_columns=n_columns
-            ),
-        )
-    }
-    if scattering:
-        work["scattering"] = rows_work(n_verts, scattering)
-        memory["scattering"] = rows_memory_bytes(n_verts, scattering, medium_channels)
-    return work, memory
