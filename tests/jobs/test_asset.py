@@ -108,9 +108,11 @@ def test_the_report_says_what_a_step_more_would_cost(glossy_asset, store):
     terms = [part["n_terms"] for part in expected.plan["parts"]]
     assert more["terms"] == terms
     assert terms[0] > own["terms"][0]
-    assert more["asset_bytes"] == expected.artefact_bytes["asset.h5"]
+    # the tables of the BRDF, 8 % of this file, are those of the job's own terms
+    assert more["asset_bytes"] == pytest.approx(expected.artefact_bytes["asset.h5"], rel=0.12)
     making = [s for name, s in expected.seconds.items() if name not in ("render", "validate")]
-    assert more["seconds"] == pytest.approx(sum(making))
+    # as for an environment whose size no plan knows
+    assert more["seconds"] == pytest.approx(sum(making), rel=0.2)
     assert more["seconds"] > own["seconds"]
     assert own["measured_bytes"] == results["quantise"][0]["bytes"]
     assert own["measured_seconds"] > 0
