@@ -14,10 +14,17 @@ from prtbake_workers.environment.light_error import squared_error_ratio
 from prtbake_workers.environment.subdivision import fine_texels
 from prtbake_workers.jobs import fit_light, render, report
 from prtbake_workers.jobs.inputs import load_environment
-from prtbake_workers.planning.cost import fit_seconds
+from prtbake_workers.planning.rates import Rates
+from prtbake_workers.planning.stage_work import fit_work
 from prtbake_workers.validation.chain import validate_camera
 from support.local_stages import registered, run_stages
 from support.scenes import validation_of
+
+
+def seconds_of(settings):
+    """Predicted by the rates that are shipped."""
+    return Rates().all_seconds({"fit_light": fit_work(settings, n_texels=6144)})["fit_light"]
+
 
 METHODS = {
     "srbf_scattered": ({"n_lobes": 24, "max_iterations": 1}, LightFit, 144),
@@ -125,9 +132,9 @@ def test_sizes_of_the_method_that_is_taken_are_settled():
         assert settings.model_dump(exclude_none=True) == {"method": method} | sizes
         # a dump is a request again
         assert FitLightSettings.model_validate(settings.model_dump()) == settings
-        assert fit_seconds(settings) > 0.0
+        assert seconds_of(settings) > 0.0
     longer = FitLightSettings(method="sh", sh_order=60)
-    assert fit_seconds(longer) > fit_seconds(FitLightSettings(method="sh"))
+    assert seconds_of(longer) > seconds_of(FitLightSettings(method="sh"))
 
 
 @pytest.mark.parametrize(

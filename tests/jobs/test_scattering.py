@@ -249,9 +249,11 @@ def test_the_report_says_what_was_scattered(scattered):
     dipole = make_dipole(MARBLE)
     assert f"mean free path {dipole.mean_free_path[0]:.3g}" in note
     assert f"gives back {dipole.diffuse_albedo[0]:.3g}" in note
-    for name in ("scattering", "bounces"):
-        assert all(scattered["plan"][0]["plan"]["work"][name].values())
-        assert scattered["plan"][0]["plan"]["memory_bytes"][name] > 0
+    plan = scattered["plan"][0]["plan"]
+    assert all(plan["work"]["scattering"].values())
+    # no rays: nothing bounces
+    assert plan["work"]["bounces"]["sparse_flops"] > 0.0 == plan["work"]["bounces"]["rays"]
+    assert all(plan["memory_bytes"][name] > 0 for name in ("scattering", "bounces"))
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,8 @@ def test_context_of_an_asset(service: LiveService, http, mesh: str, environment:
     }
     job = http.post("/v1/jobs", json=body).json()
     context = context_of(service.backend.database, job["id"])
-    assert set(context) == {"mesh", "environment", "brdf", "materials", "albedo_texture"}
+    named = {"mesh", "environment", "brdf", "materials", "albedo_texture"}
+    assert set(context) == named | {"rates"}
     assert context["materials"] == {}
     assert context["mesh"]["id"] == mesh
     assert context["mesh"]["understood"]["n"] == 7
@@ -38,9 +39,11 @@ def test_context_of_artefacts(service: LiveService, http, submit) -> None:
     made = http.post("/v1/jobs", json={"kind": "compress", "transfer": reference}).json()
     context = context_of(service.backend.database, made["id"])
     digest = service.backend.jobs.get(job["id"]).artefacts[0].sha256
-    assert context == {
-        "artefacts": {"transfer": {"digest": digest, "job": job["id"], "name": "transfer.h5"}}
+    assert context["artefacts"] == {
+        "transfer": {"digest": digest, "job": job["id"], "name": "transfer.h5"}
     }
+    # nothing was calibrated or learnt
+    assert context["rates"] == {"calibration": None, "seconds": None, "factors": {}}
 
 
 def test_context_of_a_validation(service: LiveService, http, submit, environment: str) -> None:
