@@ -16,6 +16,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 
+from prtbake_service.validation import validation_entries
 from prtbake_storage.contract.jobs import Problem
 from prtbake_storage.errors import PrtError, Unauthorised
 
@@ -76,50 +77,6 @@ def title_of(status: int) -> str:
         return HTTPStatus(status).phrase
     except ValueError:
         return "Error"
-
-
-def pointer_to(loc: Sequence[str | int], body: Any) -> str:
-    """Turn the location of a validation error into a JSON pointer into the body.
-
-    A union adds the tag of the member it tried to the location; what the body does not hold is
-    left out, save the last name, which may be the missing field itself.
-    """
-    steps: list[str] = []
-    cursor = body
-    for place, step in enumerate(loc):
-        if isinstance(cursor, dict) and isinstance(step, str):
-            tag = place == 0 and step == cursor.get("kind")
-            if step in cursor and not tag:
-                cursor = cursor[step]
-            elif place < len(loc) - 1 or tag:
-                continue
-        elif isinstance(cursor, list) and isinstance(step, int):
-            cursor = cursor[step] if step < len(cursor) else None
-        else:
-            continue
-        steps.append(str(step).replace("~", "~0").replace("/", "~1"))
-    return "".join(f"/{step}" for step in steps)
-
-
-def validation_entries(errors: Sequence[Any], body: Any) -> list[dict[str, Any]]:
-    """Return one ``{pointer, detail}`` for each thing that is wrong, each pointer once."""
-    entries: dict[str, dict[str, Any]] = {}
-    for error in errors:
-        loc = list(error["loc"])
-        source = loc.pop(0) if loc and loc[0] in ("body", "query", "path", "header") else "body"
-        if error["type"] == "json_invalid":
-            where, detail = "", f"the body is not JSON: {error['ctx']['error']}"
-        elif source == "body":
-            where, detail = pointer_to(loc, body), error["msg"]
-        else:
-            # not in the body: the name stands in the sentence, and there is nothing to point to
-            where, detail = "", f"{source} parameter {'.'.join(map(str, loc))}: {error['msg']}"
-        key = where or detail
-        if key in entries:
-            entries[key]["detail"] += f"; or: {detail}"
-        else:
-            entries[key] = {"pointer": where, "detail": detail}
-    return list(entries.values())
 
 
 def on_prt_error(request: Request, error: Exception) -> Response:

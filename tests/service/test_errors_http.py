@@ -5,7 +5,6 @@ from typing import Any
 import httpx
 import pytest
 
-from prtbake_service.errors_http import pointer_to, validation_entries
 from prtbake_service.testing import LiveService
 from prtbake_storage.contract.jobs import Problem
 
@@ -174,41 +173,3 @@ def test_faults_of_ours_tell_nothing_but_an_id(
 def test_a_strange_request_id_is_replaced(http: httpx.Client) -> None:
     answer = http.get("/healthz", headers={"X-Request-ID": "a b{}"})
     assert answer.headers["x-request-id"] != "a b{}"
-
-
-@pytest.mark.parametrize(
-    ("loc", "body", "pointer"),
-    [
-        # the tag of the union is not in the body
-        (
-            ["asset", "settings", "bake"],
-            {"kind": "asset", "settings": {"bake": 3}},
-            "/settings/bake",
-        ),
-        # a field of the name of the tag is
-        (["render", "asset"], {"kind": "render", "asset": 1}, "/asset"),
-        (["asset", "asset"], {"kind": "asset", "asset": 1}, "/asset"),
-        # a missing field is the last step
-        (["asset", "mesh"], {"kind": "asset"}, "/mesh"),
-        (
-            ["bake", "brdf", "lambert", "albedo"],
-            {"kind": "bake", "brdf": {"albedo": 2}},
-            "/brdf/albedo",
-        ),
-        (["a", 1, "b"], {"a": [{}, {"b": 0}]}, "/a/1/b"),
-        (["a/b~c"], {"a/b~c": 0}, "/a~1b~0c"),
-        ([], {}, ""),
-    ],
-)
-def test_pointers(loc: list[str | int], body: object, pointer: str) -> None:
-    assert pointer_to(loc, body) == pointer
-
-
-def test_alternatives_of_a_union_are_one_entry() -> None:
-    errors = [
-        {"loc": ("body", "brdf", "str"), "msg": "not a string", "type": "string_type"},
-        {"loc": ("body", "brdf", "lambert"), "msg": "not an object", "type": "model_type"},
-    ]
-    entries = validation_entries(errors, {"brdf": 3})
-    assert [entry["pointer"] for entry in entries] == ["/brdf"]
-    assert "not a string; or: not an object" in entries[0]["detail"]

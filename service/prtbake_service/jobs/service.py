@@ -7,8 +7,9 @@ from typing import get_args
 from pydantic import ValidationError
 
 from prtbake_service.backend import Backend
-from prtbake_service.errors_http import ProblemError, validation_entries
+from prtbake_service.errors_http import ProblemError
 from prtbake_service.jobs.references import Resolver
+from prtbake_service.validation import validation_entries
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import (
     AnyRequest,
