@@ -16,7 +16,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 
-from prtbake_service.validation import validation_entries
+from prtbake_service.validation import validation_entries, wanted_of
 from prtbake_storage.contract.jobs import Problem
 from prtbake_storage.errors import PrtError, Unauthorised
 
@@ -106,8 +106,24 @@ def on_validation_error(request: Request, error: Exception) -> Response:
     """Render what the models refuse."""
     if not isinstance(error, RequestValidationError):
         raise TypeError("registered for RequestValidationError only") from error
-    entries = validation_entries(error.errors(), error.body)
+    if isinstance(error.body, bytes):
+        # the framework reads JSON only where the header says so
+        return on_prt_error(request, not_called_json(request.headers.get("content-type")))
+    field = getattr(request.scope.get("route"), "body_field", None)
+    wanted = "" if field is None else wanted_of(field.field_info)
+    entries = validation_entries(error.errors(), error.body, wanted=wanted)
     return on_prt_error(request, MalformedRequest(entries))
+
+
+def not_called_json(content_type: str | None) -> ProblemError:
+    """Return the refusal of a body whose header does not say that it is JSON."""
+    given = "has no Content-Type" if content_type is None else f"says Content-Type: {content_type}"
+    return ProblemError(
+        415,
+        CODES[415],
+        f"the body must be JSON and the request must say so, but it {given}:"
+        " send the header Content-Type: application/json",
+    )
 
 
 def on_http_exception(request: Request, error: Exception) -> Response:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 Error = ErrorDetails | dict[str, Any]
@@ -34,13 +36,28 @@ def pointer_to(loc: Sequence[str | int], body: Any, *, missing: bool = False) ->
     return "".join(f"/{step}" for step in steps)
 
 
-def validation_entries(errors: Sequence[Error], body: Any) -> list[dict[str, Any]]:
+def wanted_of(body: FieldInfo) -> str:
+    """Say what a request's body should be, by the fields that it needs, or else may have."""
+    names = [str(body.discriminator)] if body.discriminator else []
+    if isinstance(body.annotation, type) and issubclass(body.annotation, BaseModel):
+        fields = body.annotation.model_fields
+        names = [name for name, field in fields.items() if field.is_required()]
+        if not names:
+            return f"the body must be a JSON object with some of {', '.join(fields)}"
+    return f"the body must be a JSON object with {', '.join(names)}"
+
+
+def validation_entries(
+    errors: Sequence[Error], body: Any, *, wanted: str = ""
+) -> list[dict[str, Any]]:
     """Return one ``{pointer, detail}`` for each thing that is wrong, each pointer once.
+
+    ``wanted`` is told where the body as a whole is missing or no object.
 
     Of a union's members those are heard that take what was given, be it wrong in itself: a number
     out of range is not told that it is no colour, nor an object that it is no id.
     """
-    found = [(*_entry(error, body), _of_another_type(error)) for error in errors]
+    found = [(*_entry(error, body, wanted), _of_another_type(error)) for error in errors]
     entries: dict[str, dict[str, Any]] = {}
     for where, detail, other_type in found:
         if other_type and any(
@@ -55,7 +72,7 @@ def validation_entries(errors: Sequence[Error], body: Any) -> list[dict[str, Any
     return list(entries.values())
 
 
-def _entry(error: Error, body: Any) -> tuple[str, str]:
+def _entry(error: Error, body: Any, wanted: str) -> tuple[str, str]:
     """Return the pointer and the sentence of one error."""
     loc = list(error["loc"])
     source = loc.pop(0) if loc and loc[0] in ("body", *_PARAMETERS) else "body"
@@ -65,6 +82,8 @@ def _entry(error: Error, body: Any) -> tuple[str, str]:
     if source != "body":
         # not in the body: the name stands in the sentence, and there is nothing to point to
         return "", f"{source} parameter {'.'.join(map(str, loc))}: {detail}"
+    if wanted and not loc and (kind == "missing" or kind in _NO_OBJECT):
+        return "", wanted
     if kind in _NO_OBJECT:
         detail = "Input should be an object"
     if kind not in _TAG:

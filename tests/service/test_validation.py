@@ -93,3 +93,36 @@ def test_a_registered_brdf_is_told_the_same(http: httpx.Client) -> None:
     assert answer.json()["errors"] == [
         {"pointer": "/spec/albedo", "detail": "Input should be greater than or equal to 0"}
     ]
+
+
+FORM = "application/x-www-form-urlencoded"
+
+
+@pytest.mark.parametrize("path", ["meshes", "jobs", "jobs:estimate", "uploads/missing"])
+@pytest.mark.parametrize(("header", "said"), [({"Content-Type": FORM}, FORM), ({}, "has no Con")])
+def test_a_forgotten_header_is_named(
+    http: httpx.Client, path: str, header: dict[str, str], said: str
+) -> None:
+    answer = http.post(f"/v1/{path}", content=b'{"builtin": {"name": "teapot"}}', headers=header)
+    assert (answer.status_code, answer.json()["code"]) == (415, "unsupported-media-type")
+    assert answer.json()["detail"].endswith("send the header Content-Type: application/json")
+    assert said in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("uploads/missing", "a JSON object with digests"),
+        ("jobs", "a JSON object with kind"),
+        ("meshes", "a JSON object with some of blob, builtin, format"),
+    ],
+)
+@pytest.mark.parametrize("body", ["[1]", "3", ""])
+def test_a_body_that_is_no_object_is_told_what_is_wanted(
+    http: httpx.Client, path: str, said: str, body: str
+) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = http.post(f"/v1/{path}", content=body.encode(), headers=headers)
+    assert answer.status_code == 422
+    assert said in answer.json()["detail"]
+    assert answer.json()["pointer"] == ""
