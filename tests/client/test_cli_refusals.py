@@ -22,7 +22,7 @@ Run = Callable[..., Result]
         (["wait", "nothing"], Exit.refused, "no job nothing"),
         (["submit", "compress", "--transfer", "bad"], Exit.refused, "/transfer"),
         (["submit", "bake", "--mesh", "no.obj", "--brdf", "lambert"], Exit.usage, "no.obj"),
-        (["submit", "bake", "--mesh", "builtin:cow", "--brdf", "lambert"], Exit.usage, "/name"),
+        (["submit", "bake", "--mesh", "builtin:cow", "--brdf", "lambert"], Exit.usage, "--mesh"),
         (["submit", "bake", "--mesh", "x", "--brdf", "lambert,albedo=2"], Exit.usage, "albedo"),
         (["submit", "bake", "--mesh", "x", "--brdf", "{"], Exit.usage, "not JSON"),
         (
@@ -37,7 +37,7 @@ Run = Callable[..., Result]
                 "181",
             ],
             Exit.usage,
-            "/crease_angle_deg",
+            "crease_angle_deg",
         ),
         (
             [
@@ -108,6 +108,8 @@ def test_an_unknown_name_brings_the_known_ones(
         ("bake.foo=1", ["bake has no 'foo'", "cube_resolution, supersample"]),
         ("baking.n_terms=1", ["no 'baking'", "bake, compress, fit_light, render, validation"]),
         ("bake=1", ["bake.NAME=VALUE"]),
+        ("n_terms=16", ["no 'n_terms'; write bake.n_terms"]),
+        ("passes=2", ["no 'passes'; write validation.passes"]),
     ],
 )
 def test_an_unknown_setting_of_a_stage_brings_the_known_ones(
@@ -138,6 +140,12 @@ SCENE = ("--mesh", "builtin:teapot:3", "--environment", "builtin:sun_sky", "--br
         ((*BAKE, "--brdf", "lambert,albedo=red"), "albedo: Input should be a valid number"),
         ((*BAKE, "--brdf", '{"model": "sgd"}'), "rho_d: Field required"),
         ((*BAKE, "--brdf", '{"albedo": 1}'), "model: Unable"),
+        ((*SKY, "builtin:sunsky"), "Invalid value for --environment: name: Input should be 'sun_"),
+        ((*SKY, "builtin:hall,width=7"), "Invalid value for --environment: width: Input should"),
+        (
+            ("submit", "bake", "--mesh", "builtin:teapot:99", "--brdf", "lambert"),
+            "Invalid value for --mesh: tessellation: Input should be less than or equal to 64",
+        ),
     ],
 )
 def test_a_wrong_value_is_refused_before_anything_is_sent(

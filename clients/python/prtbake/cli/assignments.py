@@ -1,10 +1,12 @@
 """``--set path.to.field=value``."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import typer
+from pydantic import ValidationError
 
 
 def parse_value(text: str) -> Any:
@@ -51,16 +53,40 @@ def one_of(*legal: str) -> Callable[[str], str]:
 
 
 def legal_names(
-    given: dict[str, Any], legal: Iterable[str], owner: str, option: str
+    given: dict[str, Any],
+    legal: Iterable[str],
+    owner: str,
+    option: str,
+    *,
+    below: Mapping[str, Iterable[str]] | None = None,
 ) -> dict[str, Any]:
-    """Return the values if all their names are legal; else say which is not and which would be."""
+    """Return the values if all their names are legal; else say which is not and which would be.
+
+    ``below`` has the names that stand under a legal one, to tell those that want it before them.
+    """
     names = list(legal)
     for name in given:
         if name not in names:
+            meant = [f"{first}.{name}" for first, inner in (below or {}).items() if name in inner]
             raise typer.BadParameter(
-                f"{owner} has no {name!r}; it has: {', '.join(names)}", param_hint=option
+                f"{owner} has no {name!r}; "
+                + (f"write {' or '.join(meant)}" if meant else f"it has: {', '.join(names)}"),
+                param_hint=option,
             )
     return given
+
+
+@contextmanager
+def refusing(option: str) -> Iterator[None]:
+    """Turn what a model refuses into the refusal of the option that said it."""
+    try:
+        yield
+    except ValidationError as error:
+        complaints = [
+            ": ".join([*(str(step) for step in entry["loc"]), entry["msg"]])
+            for entry in error.errors()
+        ]
+        raise typer.BadParameter("; ".join(complaints), param_hint=option) from error
 
 
 def read_json(text: str, option: str) -> Any:

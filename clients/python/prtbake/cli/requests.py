@@ -469,7 +469,8 @@ def _settings(pairs: list[str] | None, model: type[BaseModel]) -> Request:
 
 def _stage_settings(pairs: list[str] | None) -> Request:
     """Check names only: the service knows what their values may be."""
-    given = legal_names(nested(pairs or []), STAGES, "this job", "--set")
+    below = {stage: model.model_fields for stage, model in STAGES.items()}
+    given = legal_names(nested(pairs or []), STAGES, "this job", "--set", below=below)
     for stage, fields in given.items():
         if not isinstance(fields, dict):
             raise typer.BadParameter(f"write {stage}.NAME=VALUE", param_hint="--set")

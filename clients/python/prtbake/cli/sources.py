@@ -19,7 +19,7 @@ import typer
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from prtbake.cli.assignments import legal_names, parse_value, read_json
+from prtbake.cli.assignments import legal_names, parse_value, read_json, refusing
 from prtbake.client import Client
 from prtbake.errors import InvalidRequest
 from prtbake_storage.contract.brdf import BrdfSpec, brdf_adapter
@@ -53,8 +53,10 @@ def mesh_id(
         body: dict[str, Any] = {"name": name}
         if count:
             body["tessellation"] = parse_value(count)
-        builtin = BuiltinMesh.model_validate(body)
-        registration = MeshRegistration(builtin=builtin, crease_angle_deg=crease_angle_deg)
+        with refusing("--mesh"):
+            builtin = BuiltinMesh.model_validate(body)
+        with refusing("--crease-angle"):
+            registration = MeshRegistration(builtin=builtin, crease_angle_deg=crease_angle_deg)
         return client.register(registration).id
     path = existing_file(source, "--mesh")
     with naming(path, {"/format": "--mesh-format"}):
@@ -69,7 +71,8 @@ def environment_id(client: Client, source: str, **options: object) -> str:
         name, *pairs = source.removeprefix(BUILTIN).split(",")
         fields = [field for field in BuiltinEnvironment.model_fields if field != "name"]
         options = legal_names(key_values(pairs), fields, source.partition(",")[0], "--environment")
-        builtin = BuiltinEnvironment.model_validate({"name": name, **options})
+        with refusing("--environment"):
+            builtin = BuiltinEnvironment.model_validate({"name": name, **options})
         return client.register(EnvironmentRegistration(builtin=builtin)).id
     path = existing_file(source, "--environment")
     with naming(path, {"/layout": "--layout"}):
