@@ -1,3 +1,5 @@
+import json
+
 import httpx
 import pytest
 
@@ -154,6 +156,43 @@ def test_vertex_colours_need_a_coloured_mesh_and_a_lambert_brdf(
     assert why in answer.json()["detail"]
     # it is the colours that are refused
     assert http.post("/v1/jobs", json=body).status_code == 202
+
+
+@pytest.mark.parametrize(("tessellation", "has_uv"), [(31, True), (32, False), (33, None)])
+@pytest.mark.parametrize(
+    ("change", "pointer"),
+    [
+        ({"tangents": "uv"}, "/tangents"),
+        ({"albedo_texture": "TEXTURE"}, "/albedo_texture"),
+        ({"materials": {"lid": {"brdf": LAMBERT, "tangents": "uv"}}}, "/materials/lid/tangents"),
+        ({"materials": {"lid": {"brdf": LAMBERT, "albedo_texture": "TEXTURE"}}},
+         "/materials/lid/albedo_texture"),
+        ({"tangents": [0.0, 1.0, 0.0], "receiver": {"albedo_texture": "TEXTURE"}}, None),
+    ],
+)  # fmt: skip
+def test_what_needs_texture_coordinates_is_refused_without_them(
+    service: LiveService, http, tessellation: int, has_uv: bool | None,
+    change: dict[str, object], pointer: str | None,
+) -> None:  # fmt: skip
+    """At submission, since registration knows; a plane has coordinates of its own."""
+    texture = service.backend.blobs.put_bytes(b"a fourth picture")
+    service.backend.uploads.add(texture, 16)
+    body = {"builtin": {"name": "teapot", "tessellation": tessellation}}
+    made = http.post("/v1/meshes", json=body).json()
+    if made["state"] == "parsing":
+        canonical = service.backend.blobs.put_bytes(b"a mesh")
+        understood = {"groups": GROUPS} | ({} if has_uv is None else {"has_uv": has_uv})
+        result = {"canonical": canonical, "understood": understood}
+        service.succeed(f"parse-{made['id']}", result)
+    change = json.loads(json.dumps(change).replace("TEXTURE", texture))
+    body = {"kind": "bake", "mesh": made["id"], "brdf": LAMBERT} | change
+    for path in ("jobs:estimate", "jobs"):
+        answer = http.post(f"/v1/{path}", json=body)
+        if has_uv is False and pointer is not None:
+            assert (answer.status_code, answer.json()["pointer"]) == (400, pointer)
+            assert "texture coordinates, which the mesh lacks" in answer.json()["detail"]
+        else:
+            assert answer.status_code == 202, answer.text
 
 
 @pytest.mark.parametrize("registered", [False, True])

@@ -173,7 +173,10 @@ class Resolver:
         model = brdf["spec"].get("model")
         if material.albedo_texture is not None:
             require_lambert(model, "albedo_texture", pointer)
+            _require_uv(understood, "an albedo texture needs", f"{pointer}/albedo_texture")
             self.require_upload(material.albedo_texture, f"{pointer}/albedo_texture")
+        if material.tangents == "uv":
+            _require_uv(understood, "tangents along u need", f"{pointer}/tangents")
         if material.subsurface is not None:
             require_lambert(model, "subsurface", pointer)
             refuse_two_sided_medium(material.two_sided, pointer)
@@ -235,6 +238,15 @@ def _require_colours(understood: Context, pointer: str) -> None:
             "the mesh has no usable vertex colours: its warnings say why, if its file holds any",
             pointer=pointer,
         )
+
+
+def _require_uv(understood: Context, needs: str, pointer: str) -> None:
+    """Refuse what needs texture coordinates of a mesh whose registration found none.
+
+    Where it does not say, as of the plane, whoever reads the mesh decides.
+    """
+    if understood.get("has_uv") is False:
+        raise SettingsError(f"{needs} texture coordinates, which the mesh lacks", pointer=pointer)
 
 
 def _usable(resource: Resource, pointer: str) -> Context:
