@@ -113,3 +113,13 @@ def test_a_budget_is_at_least_zero(cpca, cta, diffuse, coloured, faces, budget):
 def test_a_signal_of_another_model_is_refused(cpca, diffuse, faces):
     with pytest.raises(SettingsError, match="signal has 599 vertices, the model 600"):
         less_overdraw_cpca(cpca, diffuse[1:], faces)
+
+
+@pytest.mark.parametrize("lit", [300, 0], ids=["half black", "black"])
+def test_black_vertices_of_a_tensor_model_have_clusters_without_columns(coloured, faces, lit):
+    rows = coloured.copy()
+    rows[lit:] = 0.0
+    model = compress_cta(rows, 8, CtaRanks(5, 12, 6), seed=1, n_channels=3)
+    assert lit or not model.ranks[:, 1:].any()
+    less = less_overdraw_cta(model, rows, faces, budget=0.05)
+    assert less.squared_error_ratio <= 1.05 * model.squared_error_ratio + 1e-12

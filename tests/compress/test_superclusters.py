@@ -122,5 +122,5 @@ def test_a_cluster_that_never_fits_is_named():
     labels = np.repeat(np.arange(3, dtype=np.int32), 27)
     with pytest.raises(SettingsError, match="registers is 8: cluster 1 takes 9") as refused:
         make_superclusters(grid_faces(SIDE), labels, needs, 8)
-    assert refused.value.pointer == "/registers"
+    assert refused.value.pointer == "/settings/compress/registers"
     assert make_superclusters(grid_faces(SIDE), labels, needs, 9).registers == 9

@@ -7,7 +7,7 @@ import pytest
 
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.compress.methods import Fit, compress
-from prtbake_workers.compress.to_error import compress_to_error
+from prtbake_workers.compress.to_error import Scaled, _at, compress_to_error
 
 
 class Sizes(NamedTuple):
@@ -85,3 +85,28 @@ def test_a_target_that_cannot_be_met_names_the_best(rng):
 def test_a_target_out_of_range_is_refused(target, diffuse):
     with pytest.raises(SettingsError, match="above 0 and below 1"):
         compress_to_error("pca", diffuse[:, None], Sizes(), fit_of(None), target)
+
+
+@pytest.mark.parametrize("classification", ["static", "iterative"])
+@pytest.mark.parametrize("seed", range(6))
+def test_more_iterations_than_the_trial_s_break_no_promise(classification, seed):
+    """Few vertices in many clusters: the full fit may leave more than the trial that met the target."""
+    rng = np.random.default_rng(seed)
+    bumps = rng.standard_normal((5, 30))
+    rows = np.repeat(bumps, 60, axis=0) + 0.5 * rng.standard_normal((300, 30))
+    fit = Fit(seed=seed, max_iterations=10, classification=classification)
+    sizes = Sizes(n_components=2)
+    signal = rows.astype(np.float32)[:, None]
+    found = compress_to_error("cpca", signal, sizes, fit, 0.1).model
+    assert found.squared_error_ratio <= 0.1
+
+
+def test_sizes_never_hold_more_numbers_than_the_transfer(rng):
+    rows = rng.standard_normal((60, 1, 40)).astype(np.float32)
+    for method in ("pca", "cpca", "cta"):
+        with pytest.raises(SettingsError, match="cannot be met"):
+            compress_to_error(method, rows, Sizes(n_clusters=2), fit_of(None), 1e-12)
+        start = Scaled(2, (1, 12, 8), 4)
+        sizes = _at(64.0, start, method, rows.shape)
+        model = compress(method, rows, sizes, fit_of(None)).model
+        assert model.nbytes <= 1.1 * rows.nbytes

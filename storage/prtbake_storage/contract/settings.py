@@ -211,7 +211,8 @@ class CompressSettings(Wire):
     below it.  Takes the place of `ranks`, `n_components` and `max_quantisation_error`."""
     coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
     """What a vertex pays for being a box diagonal off its cluster on the mesh, in root mean square
-    norms of the signal; null and 0 leave places aside, 0.05 is Chen's."""
+    norms of the signal; null and 0 leave places aside, 0.05 is Chen's.  `iterative` and `adaptive`
+    classification start from such clusters, and pay no more."""
     overdraw_budget: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     """Share of the squared error that moving vertices to neighbours' clusters may add where that
     saves draws; null moves none, 0.05 is Sloan's."""
@@ -271,6 +272,11 @@ LOBES_TO_TARGET = 642
 """At most, where a request gives an error in place of a number of lobes."""
 
 
+MOST_BANDWIDTH = 600 / 642
+"""Of uniform lobes, over how many there are: ten times the default.  Amid three centres every
+function has sunk to 7 % of its peak there, and integrals have to be cut ever finer."""
+
+
 class FitLightSettings(Wire):
     """An environment as a sum of few functions.
 
@@ -322,6 +328,10 @@ class FitLightSettings(Wire):
             most = 6 * info.data["resolution"] ** 2
             if value is not None and value > most:
                 raise ValueError(f"n_wavelets is {value:g}: the cube map has {most}")
+        if name == "bandwidth" and value is not None and info.data.get("n_centres"):
+            most = MOST_BANDWIDTH * info.data["n_centres"]
+            if value > most:
+                raise ValueError(f"bandwidth is {value:g}: at most {most:g} for so few functions")
         if value is not None:
             return value
         if name == "n_lobes" and info.data.get("max_error") is not None:

@@ -23,6 +23,9 @@ MOST_POINTS = 256
 FIXED = ("kind", "label", "priority", "timeout_s")
 """Fields that say nothing of a point."""
 
+MOST_CHARACTERS = 4096
+"""Of a value's JSON: every point and every table repeats it."""
+
 SHOWN = 60
 """Characters of a value that a sentence quotes."""
 
@@ -54,6 +57,10 @@ class Axis(Wire):
         first: dict[str, int] = {}
         for place, value in enumerate(values):
             text = json.dumps(value, allow_nan=False, sort_keys=True, ensure_ascii=False)
+            if len(text) > MOST_CHARACTERS:
+                raise ValueError(
+                    f"value {place} is {len(text)} characters of JSON: {MOST_CHARACTERS} at most"
+                )
             if r"\u0000" in text or any("\ud800" <= character <= "\udfff" for character in text):
                 raise ValueError(f"value {place} holds a character that is no text")
             if (other := first.setdefault(text, place)) != place:

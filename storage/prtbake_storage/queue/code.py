@@ -20,6 +20,7 @@ SOURCES = (
     "prtbake_storage.decode",
     "prtbake_storage.hdf5",
     "prtbake_storage.contract",
+    "prtbake_storage.plots",
 )
 """Our own packages that do."""
 

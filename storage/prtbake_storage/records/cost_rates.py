@@ -51,7 +51,9 @@ class CostRates:
 def learn(session: Session, job_id: str, rates: NewRates) -> None:
     """Enter what a job says; what was predicted by rates that count no more is left out."""
     if rates.seconds is not None:
-        session.add(
+        # a job that was deleted leaves its id to another, and its calibration with it
+        session.execute(sa.delete(StageFactorRow).where(StageFactorRow.calibration == job_id))
+        session.merge(
             CalibrationRow(
                 job_id=job_id,
                 seconds={stage: dict(own) for stage, own in rates.seconds.items()},
@@ -84,7 +86,7 @@ def _observe(session: Session, calibration: str, stage: str, ratio: float) -> No
 
 def _newest(session: Session) -> CalibrationRow | None:
     return session.scalars(
-        sa.select(CalibrationRow).order_by(
-            CalibrationRow.created.desc(), CalibrationRow.job_id.desc()
-        )
+        sa.select(CalibrationRow)
+        .order_by(CalibrationRow.created.desc(), CalibrationRow.job_id.desc())
+        .limit(1)
     ).first()

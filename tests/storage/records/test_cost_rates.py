@@ -77,3 +77,14 @@ def test_a_job_teaches_once_however_often_it_ends(database: Database) -> None:
     finish(database, "asset-2", NewRates(ratios={"bake": 0.5}))
     # a mean of two; of three it would be 2 ** (1/3)
     assert CostRates(database).current()["factors"] == pytest.approx({"bake": 1.0})
+
+
+def test_a_calibration_takes_the_place_of_a_deleted_one_of_its_id(database: Database) -> None:
+    finish(database, "cal", NewRates(seconds=SECONDS))
+    finish(database, "asset-1", NewRates(ratios={"bake": 3.0}, calibration="cal"))
+    assert CostRates(database).current()["factors"] == pytest.approx({"bake": 3.0})
+    Jobs(database).delete("cal")
+    newer = {"join": {"tasks": 0.7}}
+    finish(database, "cal", NewRates(seconds=newer))
+    found = CostRates(database).current()
+    assert found == {"seconds": newer, "factors": {}, "calibration": "cal"}

@@ -178,14 +178,14 @@ def less_overdraw_cta(
     weights = checked_vertex_weights(vertex_weights, len(t))
     _check(budget, len(t), len(model.labels))
     n_terms, r_view = model.view_basis.shape
-    n_coeffs = t.shape[2]
+    n_rows, n_coeffs = model.n_channels * r_view, t.shape[2]
     factors = [
         ClusterFactors(
             np.ascontiguousarray(light[:, :r_light]),
             np.ascontiguousarray(
                 dual[:r_vert]
-                .reshape(int(r_vert), -1, light.shape[1])[:, :, :r_light]
-                .reshape(int(r_vert), -1)
+                .reshape(int(r_vert), n_rows, light.shape[1])[:, :, :r_light]
+                .reshape(int(r_vert), n_rows * int(r_light))
             ),
         )
         for light, dual, (_, r_light, r_vert) in zip(

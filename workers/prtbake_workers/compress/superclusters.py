@@ -201,5 +201,5 @@ def _check(needs: Int32[I32, " clusters"], registers: int) -> None:
         raise SettingsError(
             f"registers is {registers}: cluster {over[0]} takes {needs[over[0]]}; fewer components "
             "or lower ranks take fewer",
-            pointer="/registers",
+            pointer="/settings/compress/registers",
         )

@@ -49,6 +49,9 @@ STEEPEST, FLATTEST = 8.0, 0.25
 LARGEST_STEP = 4.0
 """Of the scale, up or down, from one trial to the next."""
 
+MOST_MEANS = 4096
+"""Clusters of vector quantisation, as many as a request may ask for."""
+
 MARGIN = 1e-5
 """Of the target, kept for rounding: errors are sums of float32 energies."""
 
@@ -109,30 +112,35 @@ def compress_to_error(
         else sizes.ranks,
     )
     lowest, highest = NARROWLY_ENOUGH if method == "vq" else ENOUGH
-    best = np.inf
-    tried: list[tuple[Scaled, float]] = []
-    for scaled in _search(method, start, coefficients.shape, target, tried):
-        quick = replace(fit, max_iterations=min(fit.max_iterations, TRIAL_ITERATIONS))
-        # a trial of vector quantisation is as quick with all of its iterations
-        found = compress(method, coefficients, scaled, fit if method == "vq" else quick)
+    trial = fit
+    if method != "vq":  # a trial of vector quantisation is as quick with all of its iterations
+        trial = replace(fit, max_iterations=min(fit.max_iterations, TRIAL_ITERATIONS))
+    ratios: list[float] = []
+    held: tuple[Scaled, Compressed] | None = None
+    for scaled in _search(method, start, coefficients.shape, target, ratios):
+        found = compress(method, coefficients, scaled, trial)
         ratio = found.model.squared_error_ratio
-        tried.append((scaled, ratio))
-        best = min(best, ratio)
+        ratios.append(ratio)
+        if ratio <= target and (held is None or ratio > held[1].model.squared_error_ratio):
+            held = scaled, found
         if lowest * target <= ratio <= highest * target:
             break
-    meeting = [(ratio, scaled) for scaled, ratio in tried if ratio <= target]
-    if not meeting:
+    if held is None:
         raise SettingsError(
-            f"a squared error of {asked:.3g} cannot be met by {method}: the best of {len(tried)} "
-            f"trials leaves {best:.3g}; take another method, more clusters or a larger error",
+            f"a squared error of {asked:.3g} cannot be met by {method}: the best of {len(ratios)} "
+            f"trials leaves {min(ratios):.3g}; take another method, more clusters or a larger "
+            "error",
             pointer="/max_error",
         )
-    ratio, scaled = max(meeting, key=lambda one: one[0])
-    found = compress(method, coefficients, scaled, fit)
+    scaled, met = held
     if method == "vq":
-        return found
+        return met
+    full = compress(method, coefficients, scaled, fit)
+    # more iterations win by their own measure, which need not be that of what is asked for
+    if full.model.squared_error_ratio <= target:
+        met = full
     weights = checked_vertex_weights(fit.vertex_weights, len(coefficients))
-    model = trimmed(found.model, target * (1.0 - MARGIN), weights)
+    model = trimmed(met.model, target * (1.0 - MARGIN), weights)
     return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
 
 
@@ -154,7 +162,7 @@ def _search(
     start: Scaled,
     shape: tuple[int, ...],
     target: float,
-    tried: list[tuple[Scaled, float]],
+    ratios: list[float],
 ) -> Iterator[Scaled]:
     """Yield sizes to try, each by the errors of those before; end where no others are left."""
     aim = target * (NARROW_AIM if method == "vq" else AIM)
@@ -166,7 +174,7 @@ def _search(
             return
         seen.add(sizes)
         yield sizes
-        points.append((log(scale), log(max(tried[-1][1], 1e-300))))
+        points.append((log(scale), log(max(ratios[-1], 1e-300))))
         scale = exp(_next(points, log(aim)))
 
 
@@ -192,16 +200,21 @@ def _next(points: list[tuple[float, float]], aim: float) -> float:
 
 
 def _at(scale: float, start: Scaled, method: str, shape: tuple[int, ...]) -> Scaled:
-    """Scale what the method has; cut to what the data can hold."""
+    """Scale what the method has, as far as its factors are fewer numbers than the transfer."""
     n_verts, n_rows, n_coeffs = shape
+    dims, clusters = n_rows * n_coeffs, start.n_clusters
 
     def of(size: int, most: int) -> int:
         return max(1, min(most, round(size * scale)))
 
     if method == "vq":
-        return replace(start, n_clusters=of(start.n_clusters, n_verts))
+        return replace(start, n_clusters=of(clusters, min(n_verts, MOST_MEANS)))
     if method == "cta":
         view, light, vert = start.ranks
-        span = min(n_verts, n_rows * n_coeffs)
-        return replace(start, ranks=(view, of(light, n_coeffs), of(vert, span)))
-    return replace(start, n_components=of(start.n_components, min(n_verts, n_rows * n_coeffs)))
+        own = clusters * n_coeffs * light + (clusters * n_rows * light * scale + n_verts) * vert
+        scale = min(scale, n_verts * dims / max(own, 1))
+        return replace(start, ranks=(view, of(light, n_coeffs), of(vert, min(n_verts, dims))))
+    if method == "pca":
+        clusters = 1
+    most = (n_verts - clusters) * dims // (clusters * dims + n_verts)
+    return replace(start, n_components=of(start.n_components, min(n_verts, dims, max(1, most))))

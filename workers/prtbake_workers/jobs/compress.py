@@ -29,11 +29,15 @@ from prtbake_workers.jobs.rounding import options
 from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 from prtbake_workers.planning.stage_work import compress_work, quantise_work, total
+from prtbake_workers.planning.uncounted import uncounted
 
 _MODULE = "prtbake_workers.jobs.compress"
 ROUNDING_SHARE = 0.1
 """Of an error that is asked for: saves rounding a quarter of the bytes and costs compression some
 per cent of them."""
+
+SHARE_OF_16_BITS = 0.01
+"""The same where the settings have 16 bits: they add some 1e-8 of the transfer."""
 
 READ_VERTS = 2048
 """Vertices read at a time, so that 16-bit and 32-bit copies do not lie side by side in full."""
@@ -49,7 +53,7 @@ def stages(
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
     rounding, draws = options(settings), draw_settings(settings)
-    kept = ROUNDING_SHARE if settings.bits == "auto" else 0.0
+    kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
 
     def parts(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
@@ -130,6 +134,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bounces": None,
         "notes": [],
         "work": work_of(header, settings, compressions),
+        "uncounted": list(uncounted(settings)),
     }
     return {"plan": plan}
 
@@ -217,7 +222,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
     compression = PartCompression.from_dict(args["compression"])
-    draws = args["draws"]
+    draws = args.get("draws") or {}
     positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)
     weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
 
@@ -236,7 +241,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         progress=progress,
     )
     inputs = compression.method, coefficients, compression, fit
-    if args["max_error"] is None:
+    if args.get("max_error") is None:
         compressed = compress(*inputs)
     else:
         compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])

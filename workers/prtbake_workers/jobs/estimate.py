@@ -51,6 +51,7 @@ from prtbake_workers.planning.presets import (
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_work import fit_work, render_work, validate_work
+from prtbake_workers.planning.uncounted import uncounted
 
 _MODULE = "prtbake_workers.jobs.estimate"
 MEMORY_BYTES = 6 << 30
@@ -162,7 +163,10 @@ def _scene(
                 planned.header["parts"], planned.factorisations, strict=True
             )
         },
-        warnings=list(plan.notes),
+        warnings=[
+            *plan.notes,
+            *(() if alone else uncounted(resolved.compress, resolved.fit_light).values()),
+        ],
     )
 
 
@@ -197,6 +201,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
         artefact_bytes=_asset_files(header, compressions, settings),
         peak_memory_bytes=compress_memory_bytes(costs),
         errors={},
+        warnings=list(uncounted(settings).values()),
     )
 
 

@@ -62,7 +62,7 @@ def write_rounded(
         No 16 bits meet the bound that was given; says what they leave.
     """
     areas = [part.areas for part in transfer.header.parts]
-    energies = [float(own @ transfer.energies(i).signal) for i, own in enumerate(areas)]
+    energies = [_energy(transfer, index, own) for index, own in enumerate(areas)]
     if allowed is None:
         allowed = [SHARE * share * energy for share, energy in zip(left, energies, strict=True)]
     chosen = [
@@ -74,6 +74,12 @@ def write_rounded(
     ]
     write_asset(path, exact, bits=[scales for scales, _ in chosen], errors=ratios)
     return _as_read(path, exact, areas, energies, rounding, left)
+
+
+def _energy(transfer: TransferFile, index: int, areas: F64) -> float:
+    """Return the squared norm of what the file holds: the signal without what projection left."""
+    found = transfer.energies(index)
+    return float(areas @ np.maximum(found.signal - found.residual, 0.0))
 
 
 def _as_read(

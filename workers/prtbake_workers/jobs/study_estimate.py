@@ -11,6 +11,8 @@ from prtbake_storage.errors import InputError, SettingsError
 
 MOST_SCENES = 16
 """Points that are planned for an estimate where that traces rays: seconds each."""
+MOST_FILES = 64
+"""The same where it reads a file at the most."""
 TRACED = ("bake", "asset")
 """Kinds whose planning does."""
 AFTER_BAKING = ("compress", "fit_light", "render", "validation")
@@ -33,15 +35,17 @@ def predict(
     skipped: list[dict[str, Any]] = []
     work: dict[tuple[str, str], float] = {}
     peaks: list[int] = []
-    unknown = 0
+    unknown = tried = 0
+    most = MOST_SCENES if request.base.kind in TRACED else MOST_FILES
     for point, place in zip(request.points(), given["points"], strict=True):
         refused = point.refused or place.get("refused")
         if point.request is None or refused is not None:
             skipped.append({"values": point.values, "reason": refused})
             continue
-        if request.base.kind in TRACED and len(shown) == MOST_SCENES:
+        if tried == most:
             unknown += 1
             continue
+        tried += 1
         body = point.request.model_dump(mode="json")
         try:
             found = one(point.request, body, given["contexts"][place["context"]], store)
@@ -94,7 +98,7 @@ def _shared(stage: str, point: StudyPoint, body: dict[str, Any]) -> str:
         depends = {name: body[name] for name in ("environment", "quality", "seed")}
         depends["settings"] = body["settings"]["fit_light"]
     else:
-        dropped = AFTER_BAKING[1:] if stage == "compress" else AFTER_BAKING
+        dropped = AFTER_BAKING[1:] if stage in ("compress", "quantise") else AFTER_BAKING
         depends["settings"] = {
             name: value for name, value in body["settings"].items() if name not in dropped
         }

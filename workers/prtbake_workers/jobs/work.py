@@ -14,6 +14,7 @@ from prtbake_workers.planning.later_stages import (
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
+from prtbake_workers.planning.uncounted import uncounted
 
 Work = dict[str, dict[str, float]]
 
@@ -83,15 +84,28 @@ def learnt(kind: str, results: Results, context: Mapping[str, Any]) -> NewRates 
     """Say what a finished job's stages took over what the rates alone predict.
 
     Stages of which a task had run before are left out: their seconds are another time's, perhaps
-    another machine's.
+    another machine's.  So are those of which only some work is counted.
     """
     rates = rates_of(context)
     ratios = {}
+    left_out = _uncounted(kind, results)
     for stage, amounts in done_work(kind, results, context).items():
-        if stage not in results or results.recalled(stage):
+        if stage not in results or stage in left_out or results.recalled(stage):
             continue
         predicted = rates.base_seconds(stage, amounts)
         measured = sum((one.seconds for one in results.measured(stage)), start=0.0)
         if predicted > 0.0 and measured > 0.0:
             ratios[stage] = measured / predicted
     return NewRates(ratios=ratios, calibration=rates.calibration) if ratios else None
+
+
+def _uncounted(kind: str, results: Results) -> set[str]:
+    """Name the stages whose counts are not what they did; planning a compression traces nothing."""
+    if "plan" not in results:
+        return set()
+    (planned,) = results["plan"]
+    if kind == "asset":
+        settings = StageSettings.from_dict(planned["settings"])
+        return set(uncounted(settings.compress, settings.fit_light))
+    own = set(planned["plan"].get("uncounted", ()))
+    return own | {"plan"} if kind == "compress" else own
