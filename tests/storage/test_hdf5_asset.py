@@ -260,6 +260,9 @@ BREAKS = {
     "mesh/positions": np.full((90, 3), np.nan, np.float32),
     "mesh/normals": np.zeros((90, 3), np.int16),
     "parts/0/clusters/labels": np.full(60, -1, np.int32),
+    # as int32 they would wrap to 0 and 1
+    "parts/1/clusters/labels": np.full(30, 1 << 32, np.int64),
+    "parts/0/clusters/ranks": np.full((4, 3), (1 << 32) + 1, np.int64),
     "parts/0/clusters/dual_bases": np.zeros((4, 4, 14), np.int16),
     "parts/0/weights": np.zeros((59, 4), np.int16),
     "parts/0/view_texture_scale": np.full((1, 1, 3, 3), np.inf, np.float32),

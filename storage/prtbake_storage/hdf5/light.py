@@ -91,7 +91,7 @@ def _wavelets(group: h5py.Group, **common: Any) -> WaveletLight:
     resolution = h5.attribute(group, "resolution")
     if not isinstance(resolution, int):
         raise CorruptArtefact(f"/light/resolution is {resolution!r}, not a number of texels")
-    indices = h5.get(group, "indices", "i", (None,)).astype(np.int32)
+    indices = h5.get_int32(group, "indices", (None,))
     return WaveletLight(
         resolution=resolution,
         indices=indices,
@@ -106,6 +106,6 @@ def _coefficients(group: h5py.Group, count: int | None) -> np.ndarray[Any, np.dt
 
 def _number(group: h5py.Group, name: str) -> float:
     value = h5.attribute(group, name)
-    if not isinstance(value, int | float):
-        raise CorruptArtefact(f"/light/{name} is {value!r}, not a number")
+    if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
+        raise CorruptArtefact(f"/light/{name} is {value!r}, not a number of at least 0")
     return float(value)

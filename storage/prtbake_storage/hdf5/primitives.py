@@ -191,6 +191,14 @@ def get(parent: h5py.Group, name: str, kinds: str, shape: tuple[int | None, ...]
     return read(found)
 
 
+def get_int32(parent: h5py.Group, name: str, shape: tuple[int | None, ...]) -> NDArray[np.int32]:
+    """Read integers of at most 32 bits: wider ones would wrap."""
+    array = get(parent, name, "i", shape)
+    if array.dtype.itemsize > 4:
+        raise CorruptArtefact(f"{_path(parent, name)} is {array.dtype}, of more than 32 bits")
+    return array.astype(np.int32)
+
+
 def read(source: h5py.Dataset, selection: Any = ()) -> NDArray[Any]:
     """Read a checked dataset; a failed checksum or a non-finite number names the dataset."""
     try:

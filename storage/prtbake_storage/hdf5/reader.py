@@ -76,8 +76,8 @@ def _part(group: h5py.Group, normals: F32) -> Part:
     if stop > len(normals):
         raise CorruptArtefact(f"{group.name}: vertices {start}..{stop} of {len(normals)}")
     clusters = h5.child(group, "clusters")
-    ranks = h5.get(clusters, "ranks", "i", (None, 3)).astype(np.int32)
-    labels = h5.get(clusters, "labels", "i", (verts,)).astype(np.int32)
+    ranks = h5.get_int32(clusters, "ranks", (None, 3))
+    labels = h5.get_int32(clusters, "labels", (verts,))
     if labels.min() < 0 or labels.max() >= len(ranks):
         raise CorruptArtefact(f"{clusters.name}/labels leave [0, {len(ranks)})")
     bits: dict[str, int] = {}
@@ -116,9 +116,9 @@ def _superclusters(group: h5py.Group, n_clusters: int) -> Superclusters | None:
         raise CorruptArtefact(f"{own.name}: registers is {registers!r}, not a whole number")
     return Superclusters(
         registers=registers,
-        of_cluster=h5.get(own, "of_cluster", "i", (n_clusters,)).astype(np.int32),
-        indices=h5.get(own, "indices", "i", (None, 3)).astype(np.int32),
-        starts=h5.get(own, "starts", "i", (None,)).astype(np.int32),
+        of_cluster=h5.get_int32(own, "of_cluster", (n_clusters,)),
+        indices=h5.get_int32(own, "indices", (None, 3)),
+        starts=h5.get_int32(own, "starts", (None,)),
     )
 
 
@@ -149,6 +149,8 @@ def _levels(source: h5py.Dataset, stored: NDArray[Any]) -> tuple[NDArray[Any], i
     offset = h5.attribute(source, "offset") if h5.has_attribute(source, "offset") else 0
     if not isinstance(offset, int) or not 0 <= offset < 1 << 15:
         raise CorruptArtefact(f"{source.name}: offset is {offset!r}")
+    if stored.dtype.itemsize > 2:
+        raise CorruptArtefact(f"{source.name} is {stored.dtype}, of more than 16 bits")
     levels = stored.astype(np.int32) - offset
     found = bits_of(levels)
     if not h5.has_attribute(source, "bits"):

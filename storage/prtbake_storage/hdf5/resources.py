@@ -75,7 +75,7 @@ def read_mesh(path: Path) -> MeshFile:
 def _get_groups(group: Any, n_faces: int) -> tuple[I32 | None, tuple[str, ...]]:
     if not h5.has(group, "face_groups"):
         return None, ()
-    face_groups: I32 = h5.get(group, "face_groups", "i", (n_faces,)).astype(np.int32)
+    face_groups: I32 = h5.get_int32(group, "face_groups", (n_faces,))
     names = h5.get_json(group, "group_names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise CorruptArtefact("/mesh/group_names are not a list of names")
@@ -158,7 +158,7 @@ def get_mesh(file: Any) -> tuple[F64, I32, F64, F64 | None]:
 
 def get_faces(group: Any, n_vertices: int) -> I32:
     """Read ``faces`` and hold every index against the number of vertices."""
-    faces: I32 = h5.get(group, "faces", "i", (None, 3)).astype(np.int32)
+    faces: I32 = h5.get_int32(group, "faces", (None, 3))
     bad = np.flatnonzero(((faces < 0) | (faces >= n_vertices)).any(axis=1))
     if bad.size:
         raise CorruptArtefact(
