@@ -76,10 +76,15 @@ def test_what_breaks_a_rule_is_named(
         read_light(tmp_path / "l.h5")
 
 
-@pytest.mark.parametrize(("name", "value"), [("method", b"fourier"), ("error", b"none")])
-def test_a_wrong_attribute_is_named(lights: dict, tmp_path: Path, name: str, value: bytes) -> None:
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("method", b"fourier"), ("error", b"none"), ("error", np.nan), ("error", -1.0)],
+)
+def test_a_wrong_attribute_is_named(
+    lights: dict, tmp_path: Path, name: str, value: bytes | float
+) -> None:
     write_light(tmp_path / "l.h5", lights["sh"])
     with h5py.File(tmp_path / "l.h5", "a") as file:
-        file["light"].attrs[name] = np.bytes_(value)
+        file["light"].attrs[name] = np.bytes_(value) if isinstance(value, bytes) else value
     with pytest.raises(CorruptArtefact, match=name):
         read_light(tmp_path / "l.h5")
