@@ -67,6 +67,7 @@ def compress_cta(
     *,
     seed: int,
     max_iterations: int = 10,
+    tolerance: float = CONVERGED,
     vertex_weights: NDArray[Any] | None = None,
     n_channels: int = 1,
     coherence: Coherence | None = None,
@@ -89,8 +90,10 @@ def compress_cta(
     seed
         Start of the clustering; the same seed and tensor give the same model.
     max_iterations
-        Most iterations of the clustering phase.  It ends earlier when no vertex moves or an
-        iteration wins less than 0.1 %.
+        Most iterations of the clustering phase.
+    tolerance
+        Both phases end earlier where no vertex moves or an iteration wins less than this share of
+        the error.
     vertex_weights
         Weight of each vertex in the squared error, >= 0, e.g. its area; ones when None.  Vertices
         of weight zero are approximated by what serves the others.
@@ -141,7 +144,9 @@ def compress_cta(
 
     with same_bytes_on_any_threads():
         rng = np.random.default_rng(seed)
-        fit = _Fit(t, weights, ranks, n_clusters, n_channels, rng, max_iterations, coherence)
+        fit = _Fit(
+            t, weights, ranks, n_clusters, n_channels, rng, max_iterations, tolerance, coherence
+        )
         fit.run(progress)
         return fit.model(seed, notes)
 
@@ -181,12 +186,14 @@ class _Fit:
         n_channels: int,
         rng: np.random.Generator,
         max_iterations: int,
+        tolerance: float,
         coherence: Coherence | None,
     ) -> None:
         self.coherence = coherence
         n_verts, n_rows, n_coeffs = transfer.shape
         self.transfer, self.weights, self.ranks = transfer, weights, ranks
         self.n_clusters, self.rng, self.max_iterations = n_clusters, rng, max_iterations
+        self.tolerance = tolerance
         self.n_channels = n_channels
         self.root_weights = np.sqrt(weights)
         self.by_channel = transfer.reshape(n_verts * n_channels, n_rows // n_channels, n_coeffs)
@@ -221,13 +228,13 @@ class _Fit:
                 self._fill_empty_clusters()
             self._fit_clusters()
             progress((iteration + 2) / n_steps, f"clustering, error {self.trace.ratio:.3%}")
-            if self.trace.has_converged(CONVERGED):
+            if self.trace.has_converged(self.tolerance):
                 break
         for iteration in range(APPROXIMATION_ITERATIONS):
             self._fit_all_modes()
             done = (self.max_iterations + iteration + 2) / n_steps
             progress(done, f"approximation, error {self.trace.ratio:.3%}")
-            if self.trace.has_converged(CONVERGED):
+            if self.trace.has_converged(self.tolerance):
                 break
         progress(1.0, f"error {self.trace.ratio:.3%}")
 
