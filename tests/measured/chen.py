@@ -5,8 +5,6 @@
 where a statement of the page does not hold.
 """
 
-import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +17,8 @@ import numpy as np
 
 from measured.chen_scenes import SCENES, TERMS, Baked, bake
 from measured.chen_table import ChenRow, page, read_rows, statements, write_rows
-from measured.effects import DOCS, machine_line
+from measured.effects import machine_line
+from measured.options import Page
 from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_workers.compress.coherence import ALPHA, coherence_of
 from prtbake_workers.compress.cpca import compress_cpca
@@ -155,18 +154,8 @@ def measure_scenes(names: Sequence[str], folder: Path, data: Path) -> bool:
 
 def main(arguments: list[str]) -> int:
     """Measure the scenes named, or all; 1 where a statement does not hold."""
-    known = [scene.name for scene in SCENES]
-    parser = argparse.ArgumentParser(description="Measure docs/measured/chen.md anew.")
-    parser.add_argument("--scenes", help=f"of {','.join(known)}; the others keep their rows")
-    parser.add_argument("--to", type=Path, default=DOCS, help="folder of chen.csv and .md")
-    options = parser.parse_args(arguments)
-    names = known if options.scenes is None else options.scenes.split(",")
-    if unknown := sorted(set(names) - set(known)):
-        parser.error(f"no scene {', '.join(unknown)}; there are {', '.join(known)}")
-    data = Path(os.environ.get("PRTBAKE_DATA", "")).resolve()
-    if not (data / "meshes").is_dir():
-        parser.error("PRTBAKE_DATA must name the folder of the real data")
-    return 0 if measure_scenes(names, options.to, data) else 1
+    options = Page.read(arguments, "chen", [scene.name for scene in SCENES])
+    return 0 if measure_scenes(options.names, options.to, options.data) else 1
 
 
 if __name__ == "__main__":

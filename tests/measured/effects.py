@@ -5,8 +5,6 @@
 It fails where a statement of the page does not hold.
 """
 
-import argparse
-import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -21,10 +19,9 @@ from benchmarks.run import cpu_name
 from measured.effect_runs import measure
 from measured.effect_scenes import ABOUT_SETTINGS, SCENES, SETTINGS, WARM_UP, EffectScene
 from measured.effects_table import Row, merged, page, read_rows, statements, write_rows
+from measured.options import Page
 from prtbake_storage import __version__
 from prtbake_storage.contract.settings import BakeSettings
-
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "measured"
 
 ABOUT = """\
 Is every effect simulated that a scene needs, and none that it does not? Each scene is baked as planning
@@ -101,18 +98,8 @@ def machine_line() -> str:
 
 def main(arguments: list[str]) -> int:
     """Measure the scenes named, or all; 1 where a statement does not hold."""
-    known = [scene.name for scene in SCENES]
-    parser = argparse.ArgumentParser(description="Measure docs/measured/effects.md anew.")
-    parser.add_argument("--scenes", help=f"of {','.join(known)}; the others keep their rows")
-    parser.add_argument("--to", type=Path, default=DOCS, help="folder of effects.csv and .md")
-    options = parser.parse_args(arguments)
-    names = known if options.scenes is None else options.scenes.split(",")
-    if unknown := sorted(set(names) - set(known)):
-        parser.error(f"no scene {', '.join(unknown)}; there are {', '.join(known)}")
-    data = Path(os.environ.get("PRTBAKE_DATA", "")).resolve()
-    if not (data / "meshes").is_dir():
-        parser.error("PRTBAKE_DATA must name the folder of the real data")
-    return 0 if measure_scenes(names, options.to, data) else 1
+    options = Page.read(arguments, "effects", [scene.name for scene in SCENES])
+    return 0 if measure_scenes(options.names, options.to, options.data) else 1
 
 
 if __name__ == "__main__":

@@ -45,6 +45,15 @@ def mismatch(a: Renderer, b: Renderer, view: Pinhole) -> tuple[float, float]:
     return float(difference[same].max() / np.abs(two.radiance).max()), float((~same).mean())
 
 
+def assert_agree(gl: GlRenderer, cpu: CpuRenderer, light: np.ndarray, view: Pinhole) -> None:
+    """Light both and hold their pictures against each other, inside and at silhouettes."""
+    gl.set_light(light)
+    cpu.set_light(light)
+    interior, share = mismatch(gl, cpu, view)
+    assert interior < INTERIOR
+    assert share < SILHOUETTE_SHARE
+
+
 @pytest.mark.parametrize("azimuth", [30.0, 160.0])
 def test_gl_agrees_with_the_numpy_decode(scene: Asset, light: np.ndarray, azimuth: float) -> None:
     view = view_of(scene, azimuth)
@@ -53,11 +62,7 @@ def test_gl_agrees_with_the_numpy_decode(scene: Asset, light: np.ndarray, azimut
         assert gl.info.device
         for current in (light, rotation_matrix((10, 20, 30)) @ light.T):
             values = current if current.shape == light.shape else current.T
-            gl.set_light(values)
-            cpu.set_light(values)
-            interior, share = mismatch(gl, cpu, view)
-            assert interior < INTERIOR
-            assert share < SILHOUETTE_SHARE
+            assert_agree(gl, cpu, values, view)
     # negative twin: all frames aligned instead of turned at random
     part = scene.parts[0]
     aligned = tangent_frames(scene.normals[: part.n_vertices].astype(np.float64))
@@ -78,11 +83,7 @@ def test_gl_shows_the_side_that_faces_the_eye(
     view = pinhole(Camera(elevation_deg=elevation), WIDTH, HEIGHT, bounds)
     half = own.parts[0].vertex_range[1] + own.parts[1].n_vertices // 2
     with GlRenderer(own) as gl, CpuRenderer(own) as cpu:
-        gl.set_light(light)
-        cpu.set_light(light)
-        interior, share = mismatch(gl, cpu, view)
-        assert interior < INTERIOR
-        assert share < SILHOUETTE_SHARE
+        assert_agree(gl, cpu, light, view)
         triangles = gl.visibility(view, WIDTH, HEIGHT).triangles
         first = own.faces[triangles[triangles >= 0], 0]
         plane = first[first >= own.parts[1].vertex_range[0]]
@@ -103,11 +104,7 @@ def test_gl_agrees_with_the_numpy_decode_in_three_channels(
 ) -> None:
     view = view_of(coloured_scene)
     with GlRenderer(coloured_scene) as gl, CpuRenderer(coloured_scene) as cpu:
-        gl.set_light(light)
-        cpu.set_light(light)
-        interior, share = mismatch(gl, cpu, view)
-        assert interior < INTERIOR
-        assert share < SILHOUETTE_SHARE
+        assert_agree(gl, cpu, light, view)
     # negative twin: green and blue of the transfer change places
     glossy, diffuse = coloured_scene.parts
     assert glossy.dual_bases is not None
@@ -132,11 +129,7 @@ def test_gl_agrees_with_the_numpy_decode_on_means_of_several_terms(
     check_asset(own)
     view = view_of(own)
     with GlRenderer(own) as gl, CpuRenderer(own) as cpu:
-        gl.set_light(light)
-        cpu.set_light(light)
-        interior, share = mismatch(gl, cpu, view)
-        assert interior < INTERIOR
-        assert share < SILHOUETTE_SHARE
+        assert_agree(gl, cpu, light, view)
     # negative twin: the first two terms change places
     assert part.means is not None
     rows = part.means.reshape(part.n_clusters, 3, 3, -1)[:, :, [1, 0, 2]]
@@ -172,11 +165,7 @@ def test_a_part_of_one_triangle_is_drawn_beside_large_ones(scene: Asset, light: 
     check_asset(three)
     view = view_of(three)
     with GlRenderer(three) as gl, CpuRenderer(three) as cpu:
-        gl.set_light(light)
-        cpu.set_light(light)
-        interior, share = mismatch(gl, cpu, view)
-        assert interior < INTERIOR
-        assert share < SILHOUETTE_SHARE
+        assert_agree(gl, cpu, light, view)
         seen = gl.visibility(view, WIDTH, HEIGHT).triangles == len(three.faces) - 1
         assert np.count_nonzero(seen) > 100
         # negative twin: its albedo is its own, not that of the part drawn before it
@@ -195,11 +184,7 @@ def test_the_size_of_the_scene_does_not_matter(
 ) -> None:
     scaled = replace(scene, positions=scene.positions * np.float32(scale))
     with GlRenderer(scaled) as gl, CpuRenderer(scaled) as cpu:
-        gl.set_light(light)
-        cpu.set_light(light)
-        interior, share = mismatch(gl, cpu, view_of(scaled))
-    assert interior < INTERIOR
-    assert share < SILHOUETTE_SHARE
+        assert_agree(gl, cpu, light, view_of(scaled))
 
 
 def test_coloured_albedo_and_one_channel_textures(scene: Asset, light: np.ndarray) -> None:

@@ -26,7 +26,8 @@ from prtbake_workers.compress.inputs import (
     checked_count,
     checked_signal,
     checked_vertex_weights,
-    clipped,
+    fitting_clusters,
+    fitting_components,
 )
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
@@ -107,23 +108,11 @@ def compress_cpca(
     _known(method, METHODS, "method", "CPCA method")
     _known(back_end, BACK_ENDS, "back_end", "PCA back end")
     x = checked_signal(signal, "signal", ("verts", "dims"))
-    n_verts, n_dims = x.shape
+    n_verts = len(x)
     weights = checked_vertex_weights(vertex_weights, n_verts)
     notes: list[str] = []
-    n_clusters = clipped(
-        checked_count(n_clusters, "n_clusters"),
-        n_verts,
-        "n_clusters",
-        "one vertex a cluster at least",
-        notes,
-    )
-    n_components = clipped(
-        checked_count(n_components, "n_components"),
-        min(n_dims, n_verts),
-        "n_components",
-        f"{n_verts} vertices of {n_dims} dimensions span no more",
-        notes,
-    )
+    n_clusters = fitting_clusters(n_clusters, n_verts, notes)
+    n_components = fitting_components(n_components, x, notes)
     checked_count(max_iterations, "max_iterations")
 
     with same_bytes_on_any_threads():

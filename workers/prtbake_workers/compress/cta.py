@@ -38,6 +38,7 @@ from prtbake_workers.compress.inputs import (
     checked_signal,
     checked_vertex_weights,
     clipped,
+    fitting_clusters,
 )
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.monotone import ObjectiveTrace
@@ -132,13 +133,7 @@ def compress_cta(
         )
     weights = checked_vertex_weights(vertex_weights, len(t))
     notes: list[str] = []
-    n_clusters = clipped(
-        checked_count(n_clusters, "n_clusters"),
-        len(t),
-        "n_clusters",
-        "one vertex a cluster at least",
-        notes,
-    )
+    n_clusters = fitting_clusters(n_clusters, len(t), notes)
     ranks = _fitting_ranks(CtaRanks(*ranks), t, n_channels, notes)
     checked_count(max_iterations, "max_iterations")
 

@@ -111,3 +111,17 @@ def clipped(value: int, limit: int, name: str, reason: str, notes: list[str]) ->
     if value > limit:
         notes.append(f"{name} {value} cut to {limit}: {reason}")
     return min(value, limit)
+
+
+def fitting_clusters(n_clusters: int, n_verts: int, notes: list[str]) -> int:
+    """Return a count of clusters that so many vertices can fill."""
+    count = checked_count(n_clusters, "n_clusters")
+    return clipped(count, n_verts, "n_clusters", "one vertex a cluster at least", notes)
+
+
+def fitting_components(n_components: int, signal: F32, notes: list[str]) -> int:
+    """Return a count of components that a (verts, dims) signal can fill."""
+    n_verts, n_dims = signal.shape
+    count = checked_count(n_components, "n_components")
+    reason = f"{n_verts} vertices of {n_dims} dimensions span no more"
+    return clipped(count, min(n_dims, n_verts), "n_components", reason, notes)

@@ -22,10 +22,9 @@ from prtbake_workers.compress.gram_eigh import (
     orthonormal_rows,
 )
 from prtbake_workers.compress.inputs import (
-    checked_count,
     checked_signal,
     checked_vertex_weights,
-    clipped,
+    fitting_components,
 )
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
@@ -76,13 +75,7 @@ def compress_pca(
     n_verts, n_dims = x.shape
     weights = checked_vertex_weights(vertex_weights, n_verts)
     notes: list[str] = []
-    n_components = clipped(
-        checked_count(n_components, "n_components"),
-        min(n_dims, n_verts),
-        "n_components",
-        f"{n_verts} vertices of {n_dims} dimensions span no more",
-        notes,
-    )
+    n_components = fitting_components(n_components, x, notes)
     with same_bytes_on_any_threads():
         progress(0.0, "mean and covariance")
         mean = weighted_mean(x, weights)

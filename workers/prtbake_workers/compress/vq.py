@@ -20,7 +20,7 @@ from prtbake_workers.compress.inputs import (
     checked_count,
     checked_signal,
     checked_vertex_weights,
-    clipped,
+    fitting_clusters,
 )
 from prtbake_workers.compress.lbg import Start, lbg
 from prtbake_workers.compress.parallel import same_bytes_on_any_threads
@@ -87,13 +87,7 @@ def compress_vq(
     x = checked_signal(signal, "signal", ("verts", "dims"))
     weights = checked_vertex_weights(vertex_weights, len(x))
     notes: list[str] = []
-    n_clusters = clipped(
-        checked_count(n_clusters, "n_clusters"),
-        len(x),
-        "n_clusters",
-        "one vertex a cluster at least",
-        notes,
-    )
+    n_clusters = fitting_clusters(n_clusters, len(x), notes)
     checked_count(max_iterations, "max_iterations")
     rng = np.random.default_rng(seed)
     with same_bytes_on_any_threads():

@@ -33,8 +33,7 @@ from prtbake_workers.planning.uncounted import uncounted
 
 _MODULE = "prtbake_workers.jobs.compress"
 ROUNDING_SHARE = 0.1
-"""Of an error that is asked for: saves rounding a quarter of the bytes and costs compression some
-per cent of them."""
+"""Of an error that is asked for: a tenth in place of a hundredth saves a quarter of the bytes."""
 
 SHARE_OF_16_BITS = 0.01
 """The same where the settings have 16 bits: they add some 1e-8 of the transfer."""
