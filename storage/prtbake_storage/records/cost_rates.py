@@ -1,7 +1,7 @@
 """Rates of the cost model: the newest calibration, and what past jobs say it is off by.
 
-They lead predictions alone: no task is given them, so that what a job makes does not depend on
-what ran before it.
+They lead predictions alone: of the tasks only the report's and the estimate's are given them, so
+that what a job makes does not depend on what ran before it.
 """
 
 from contextlib import suppress

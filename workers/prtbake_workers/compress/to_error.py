@@ -12,6 +12,7 @@ from math import exp, log
 
 import numpy as np
 
+from prtbake_storage.contract.settings import MOST_CLUSTERS
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, Float32
 from prtbake_workers.compress.inputs import checked_vertex_weights
@@ -48,9 +49,6 @@ STEEPEST, FLATTEST = 8.0, 0.25
 
 LARGEST_STEP = 4.0
 """Of the scale, up or down, from one trial to the next."""
-
-MOST_MEANS = 4096
-"""Clusters of vector quantisation, as many as a request may ask for."""
 
 MARGIN = 1e-5
 """Of the target, kept for rounding: errors are sums of float32 energies."""
@@ -208,7 +206,7 @@ def _at(scale: float, start: Scaled, method: str, shape: tuple[int, ...]) -> Sca
         return max(1, min(most, round(size * scale)))
 
     if method == "vq":
-        return replace(start, n_clusters=of(clusters, min(n_verts, MOST_MEANS)))
+        return replace(start, n_clusters=of(clusters, min(n_verts, MOST_CLUSTERS)))
     if method == "cta":
         view, light, vert = start.ranks
         own = clusters * n_coeffs * light + (clusters * n_rows * light * scale + n_verts) * vert

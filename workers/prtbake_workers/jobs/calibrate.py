@@ -83,7 +83,7 @@ TRIALS = (
         },
     ),
 )  # fmt: skip
-"""Between them every unit of every stage is met, some by far more than its stage's start."""
+"""Between them every stage is met, most units by far more than their stage's start."""
 
 
 def stages(context: dict[str, Any]) -> list[Stage]:

@@ -20,7 +20,7 @@ ERROR_IS = {
     "squared, weighted by area, over the transport sampled there",
     "compress": "what the delivered asset, decoded, leaves of the transfer that it was compressed "
     "from: squared, weighted by area, all parts together, over the transfer",
-    "fit_light": "what the lobes leave of the environment: squared, over the sphere, over the "
+    "fit_light": "what the fit leaves of the environment: squared, over the sphere, over the "
     "environment",
     "asset": "the relative L2 difference of the delivered pictures and the reference, over all "
     "validation pictures",
