@@ -95,7 +95,7 @@ tsai: setup ## Redo Tsai and Shih's tables 1 and 2, into docs/measured (PRTBAKE_
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/tsai.py
 
 cost-model: setup gl ## Hold predicted seconds, bytes and memory against 60 random jobs, into docs/measured
-	$(BIN)/python tests/measured/cost_model.py
+	$(BIN)/python tests/measured/cost_model.py --anew
 
 serve: setup gl ## Service and two workers on loopback
 	$(BIN)/prtbake serve

@@ -12,6 +12,9 @@ import numpy as np
 FIRST_SEED = 40_000
 """The jobs that shipped rates were fitted to are drawn from below this, see `Draw.of`."""
 
+TRAINING_SEED = 20_000
+"""Of jobs that the model may be mended by: those from `FIRST_SEED` on are held out."""
+
 MESHES: tuple[dict[str, Any], ...] = (
     {"name": "icosphere", "tessellation": 3},
     {"name": "icosphere", "tessellation": 4},

@@ -1,9 +1,15 @@
 """Hold the cost model against jobs: what `:estimate` predicts beside what they took.
 
-``python tests/measured/cost_model.py [--jobs N] [--first K] [--to FOLDER] [--shipped]`` starts a
-service with two workers in a temporary folder, calibrates it (not with ``--shipped``), and runs N
-random small jobs one after the other, each estimated before.  It writes ``cost-model.csv`` and
-``cost-model.md``, and fails where what must hold does not.
+``python tests/measured/cost_model.py`` starts a service with two workers, calibrates it, and runs
+60 random small jobs one after the other, each estimated before.  Every job's rows are appended to
+``cost-model.csv`` as it ends, and jobs that are there already are passed over: what was interrupted
+goes on, and ``--first N --count M`` does it in pieces; ``--anew`` begins the table again.  With
+``--data FOLDER`` the service's data outlives a piece: only the first one calibrates, and
+``--count 0`` does nothing else.  At the end ``cost-model.md`` is written over all rows of the
+table; it fails where what must hold does not.
+
+``--shipped`` leaves the rates as they are shipped, ``--training`` draws other jobs, which the model
+may be mended by.
 """
 
 import argparse
@@ -12,7 +18,8 @@ import platform
 import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 # `pytest` is told this folder in pyproject.toml, a script is not
@@ -21,17 +28,29 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from benchmarks.run import cpu_name
-from measured.cost_jobs import Draw
-from measured.cost_table import BYTES, MEMORY, SECONDS, STAGES, Row, page, statements, write_rows
+from measured.cost_jobs import FIRST_SEED, TRAINING_SEED, Draw
+from measured.cost_table import (
+    BYTES,
+    MEMORY,
+    SECONDS,
+    STAGES,
+    Row,
+    append_rows,
+    page,
+    read_rows,
+    statements,
+)
 from prtbake.cli.serve import raise_interrupt
 from prtbake.client import Client
 from prtbake.launch import LocalService
 from prtbake_storage import __version__
-from prtbake_storage.contract.jobs import Estimate, Job
+from prtbake_storage.contract.jobs import Estimate, Job, JobState
 from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "measured"
 N_WORKERS = 2
+FIRST = 2
+"""Two jobs of the draw were looked at while the counts were made."""
 
 ABOUT = """\
 What `POST /v1/jobs:estimate` says of a job before it runs, beside what it took: random small jobs of
@@ -94,33 +113,62 @@ def machine_line() -> str:
     )
 
 
+@contextmanager
+def home_of(kept: Path | None) -> Iterator[Path]:
+    """Give the folder that was asked for, or one that is removed in the end."""
+    if kept is not None:
+        yield kept
+        return
+    with tempfile.TemporaryDirectory(prefix="prtbake-cost-") as temporary:
+        yield Path(temporary)
+
+
+def calibrate(client: Client) -> None:
+    """Measure the machine, unless that is done."""
+    done = client.page(state=[JobState.succeeded.value], kind="calibrate").items
+    if not done:
+        client.wait(client.submit({"kind": "calibrate"}).id)
+        sys.stdout.write("calibrated\n")
+        sys.stdout.flush()
+
+
 def main(arguments: Sequence[str]) -> int:
     """Measure, write, and return the exit code."""
     parser = argparse.ArgumentParser(description="Hold the cost model against random jobs.")
-    parser.add_argument("--jobs", type=int, default=60, help="how many; 60")
-    parser.add_argument("--first", type=int, default=0, help="number of the first; 0")
+    parser.add_argument("--first", type=int, default=FIRST, help=f"number of the first; {FIRST}")
+    parser.add_argument("--count", type=int, default=60, help="how many; 60")
     parser.add_argument("--to", type=Path, default=DOCS, help="docs/measured")
+    parser.add_argument("--data", type=Path, help="keep the service's data here for the next piece")
+    parser.add_argument("--anew", action="store_true", help="forget the table that is there")
     parser.add_argument("--shipped", action="store_true", help="do not calibrate")
+    parser.add_argument("--training", action="store_true", help="not the jobs that are held out")
     given = parser.parse_args(arguments)
     # from here on SIGTERM unwinds like Ctrl-C, so that the service is stopped
     signal.signal(signal.SIGTERM, raise_interrupt)
-    rows: list[Row] = []
     machine = machine_line()
+    given.to.mkdir(parents=True, exist_ok=True)
+    table = given.to / "cost-model.csv"
+    if given.anew:
+        table.unlink(missing_ok=True)
+    done = {row.job for row in read_rows(table)}
+    left = [one for one in range(given.first, given.first + given.count) if one not in done]
     with (
-        tempfile.TemporaryDirectory(prefix="prtbake-cost-") as temporary,
-        LocalService(Path(temporary), n_workers=N_WORKERS, embedded=True),
-        Client(data_dir=Path(temporary)) as client,
+        home_of(given.data) as home,
+        LocalService(home, n_workers=N_WORKERS, embedded=True),
+        Client(data_dir=home) as client,
     ):
         if not given.shipped:
-            client.wait(client.submit({"kind": "calibrate"}).id)
-        for number in range(given.first, given.first + given.jobs):
-            own = measure(client, Draw.of(number))
-            rows += own
+            calibrate(client)
+        for number in left:
+            seed = TRAINING_SEED if given.training else FIRST_SEED
+            own = measure(client, Draw.of(number, first_seed=seed))
+            append_rows(table, own)
             told = ", ".join(f"{row.of} {row.factor:.2f}" for row in own if row.what != STAGES)
             sys.stdout.write(f"{number} {own[0].scene}: {told}\n")
             sys.stdout.flush()
-    given.to.mkdir(parents=True, exist_ok=True)
-    write_rows(given.to / "cost-model.csv", rows)
+    rows = read_rows(table)
+    if not rows:
+        return 0
     (given.to / "cost-model.md").write_text(page(rows, about=ABOUT, machine=machine))
     for text, holds in statements(rows):
         sys.stdout.write(f"{'holds' if holds else 'FAILS'}: {text}\n")

@@ -82,9 +82,28 @@ def page(rows: Sequence[Row], *, about: str, machine: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write the rows as CSV."""
-    with path.open("w", newline="") as file:
+def append_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Append rows to a CSV table, which is begun where it is not there."""
+    with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-        writer.writeheader()
+        if file.tell() == 0:
+            writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read the table; no rows where it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [
+            Row(
+                int(one["job"]),
+                one["scene"],
+                one["what"],
+                one["of"],
+                float(one["predicted"]),
+                float(one["measured"]),
+            )
+            for one in csv.DictReader(file)
+        ]

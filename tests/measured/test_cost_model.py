@@ -1,21 +1,20 @@
 """The draws and the page of the cost model."""
 
-import csv
-
 import pytest
 
-from measured.cost_jobs import Draw
+from measured.cost_jobs import FIRST_SEED, TRAINING_SEED, Draw
 from measured.cost_table import (
     BYTES,
     MEMORY,
     SECONDS,
     STAGES,
     Row,
+    append_rows,
     off_by,
     page,
+    read_rows,
     share_within,
     statements,
-    write_rows,
 )
 from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
@@ -60,13 +59,27 @@ def test_statements_hold_for_nine_of_ten_jobs_and_no_fewer():
     assert held == {SECONDS: True, BYTES: True, MEMORY: False}
 
 
-def test_the_page_and_the_table_hold_the_rows(tmp_path):
-    rows = rows_of(1.25)
-    text = page(rows, about="About.", machine="A machine.")
+def test_the_page_holds_the_rows():
+    text = page(rows_of(1.25), about="About.", machine="A machine.")
     assert "10 jobs" in text
     assert text.count("- holds") == 3
     assert "| bytes | a | 10 | 1.00 | 1.00 | 1.00 | 1.00 | 1.14 |" in text
-    write_rows(tmp_path / "rows.csv", rows)
-    with (tmp_path / "rows.csv").open() as file:
-        read = list(csv.DictReader(file))
-    assert [float(row["predicted"]) for row in read] == [row.predicted for row in rows]
+
+
+def test_the_table_grows_piece_by_piece(tmp_path):
+    table = tmp_path / "rows.csv"
+    assert read_rows(table) == []
+    rows = rows_of(1.1 / 3.0)
+    append_rows(table, rows[:7])
+    append_rows(table, rows[7:])
+    assert read_rows(table) == rows
+    # a job of its own is one that no earlier piece ran
+    assert {row.job for row in read_rows(table)} == set(range(10))
+
+
+def test_training_jobs_are_none_of_those_held_out():
+    held = {Draw.of(number).request["seed"] for number in range(62)}
+    assert held == set(range(62))
+    training = [Draw.of(number, first_seed=TRAINING_SEED) for number in range(62)]
+    assert TRAINING_SEED + len(training) < FIRST_SEED
+    assert not any(one == Draw.of(one.number) for one in training)
