@@ -58,10 +58,16 @@ def validation_entries(
     out of range is not told that it is no colour, nor an object that it is no id.
     """
     found = [(*_entry(error, body, wanted), _of_another_type(error)) for error in errors]
+    # a parameter has the body's own pointer, and says nothing of the body
+    of_body = [
+        (where, unfit)
+        for (where, _, unfit), error in zip(found, errors, strict=True)
+        if not _of_parameter(error)
+    ]
     entries: dict[str, dict[str, Any]] = {}
     for where, detail, other_type in found:
         if other_type and any(
-            at.startswith(f"{where}/") or (at == where and not unfit) for at, _, unfit in found
+            at.startswith(f"{where}/") or (at == where and not unfit) for at, unfit in of_body
         ):
             continue
         key = where or detail
@@ -95,12 +101,17 @@ def _entry(error: Error, body: Any, wanted: str) -> tuple[str, str]:
     return pointer, f"{error['ctx']['tag']!r} is none of {error['ctx']['expected_tags']}"
 
 
+def _of_parameter(error: Error) -> bool:
+    """Tell whether an error is of a query, path or header parameter and not of the body."""
+    return bool(error["loc"]) and error["loc"][0] in _PARAMETERS
+
+
 def _of_another_type(error: Error) -> bool:
     """Tell whether a value is refused for its type, as by members of a union it was not meant for.
 
     Such an error has others at its place, or below it, only if they come from other members.
     """
-    if error["loc"] and error["loc"][0] in _PARAMETERS:
+    if _of_parameter(error):
         return False
     if error["type"] == "literal_error":
         return not isinstance(error["input"], str)

@@ -95,6 +95,19 @@ def test_a_registered_brdf_is_told_the_same(http: httpx.Client) -> None:
     ]
 
 
+def test_a_header_silences_nothing_of_the_body() -> None:
+    header = {"loc": ("header", "idempotency-key"), "msg": "too long", "type": "string_too_long"}
+    body = {"loc": ("body",), "msg": "no object", "type": "model_attributes_type"}
+    entries = validation_entries([header, body], [1])
+    assert [entry["detail"] for entry in entries] == [
+        "header parameter idempotency-key: too long",
+        "Input should be an object",
+    ]
+    # what the body's other members say at its place still does
+    meant = {"loc": ("body",), "msg": "too small", "type": "too_small"}
+    assert len(validation_entries([header, body, meant], [1])) == 2
+
+
 FORM = "application/x-www-form-urlencoded"
 
 
