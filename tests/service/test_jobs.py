@@ -14,7 +14,7 @@ from prtbake_storage.queue.memo import Memory, recall, remember
 from prtbake_storage.queue.reconcile import reconcile_once
 from prtbake_storage.queue.stages import Measured
 from prtbake_storage.records.cost_rates import learn
-from prtbake_storage.records.models import CalibrationRow
+from prtbake_storage.records.models import CalibrationRow, JobRow
 from support.rows import context_of
 
 PATIENT = {"Prefer": "wait=30"}
@@ -47,6 +47,40 @@ def test_an_idempotency_key_makes_one_job(http, environment: str) -> None:
     assert (first.status_code, again.status_code, other.status_code) == (202, 200, 409)
     assert again.json()["id"] == first.json()["id"]
     assert other.json()["code"] == "conflict"
+
+
+def test_a_digest_of_an_earlier_version_still_names_its_request(
+    service: LiveService, http, environment: str
+) -> None:
+    body = {"kind": "fit_light", "environment": environment, "settings": {"n_lobes": 33}}
+    headers = {"Idempotency-Key": "before-the-upgrade"}
+    first = http.post("/v1/jobs", json=body, headers=headers).json()
+    # as one of before made it: of another spelling, without a field that is there now
+    with service.backend.database.write() as session:
+        row = session.get(JobRow, first["id"])
+        row.body_digest = f"sha256:{'0' * 64}"
+        row.request = {name: value for name, value in row.request.items() if name != "priority"}
+    again = http.post("/v1/jobs", json=body, headers=headers)
+    assert (again.status_code, again.json()["id"]) == (200, first["id"])
+    # negative twin: another request
+    other = http.post("/v1/jobs", json=body | {"settings": {"n_lobes": 34}}, headers=headers)
+    assert other.status_code == 409
+
+
+def test_a_key_names_what_was_given_whatever_defaults_become(
+    service: LiveService, http, environment: str
+) -> None:
+    body = {"kind": "fit_light", "environment": environment, "settings": {"n_lobes": 35}}
+    headers = {"Idempotency-Key": "defaults-change"}
+    first = http.post("/v1/jobs", json=body, headers=headers).json()
+    # a default of before
+    with service.backend.database.write() as session:
+        row = session.get(JobRow, first["id"])
+        row.request = row.request | {"priority": 51}
+    again = http.post("/v1/jobs", json=body, headers=headers)
+    assert (again.status_code, again.json()["id"]) == (200, first["id"])
+    # spelled out, today's default is another request than yesterday's
+    assert http.post("/v1/jobs", json=body | {"priority": 50}, headers=headers).status_code == 409
 
 
 def test_an_id_of_the_callers_choice(http, environment: str) -> None:

@@ -6,6 +6,7 @@ import httpx
 import pytest
 
 from prtbake_service.testing import LiveService
+from prtbake_storage.contract.jobs import job_request_adapter
 from support.rows import context_of
 
 LAMBERT = {"model": "lambert", "albedo": 0.5}
@@ -37,6 +38,16 @@ def test_points_that_name_the_same_share_a_context(
     assert context["points"] == [{"context": 0}] * 4
     (item,) = http.get("/v1/jobs?kind=study&limit=1").json()["items"]
     assert item["id"] == answer.json()["id"]
+
+
+def test_what_a_study_was_given_holds_no_default() -> None:
+    """Its idempotency digest is of that: defaults are another version's."""
+    base = {"kind": "compress", "transfer": "job/transfer.h5", "settings": {"bits": 8}}
+    given = study(base, {"settings.n_clusters": [2, 4]})
+    request = job_request_adapter.validate_python(given)
+    axes = [{"path": "settings.n_clusters", "values": [2, 4]}]
+    assert request.model_dump(mode="json", exclude_unset=True) == given | {"axes": axes}
+    assert request.model_dump(mode="json")["base"]["seed"] == 0
 
 
 def test_points_that_name_others_have_their_own(

@@ -2,7 +2,7 @@
 
 import logging
 import secrets
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -57,7 +57,11 @@ class JobService:
         if job_id is not None and job_id.startswith(PARSE_PREFIX):
             raise InputError(f"job ids that start with {PARSE_PREFIX} are the service's own")
         body = request.model_dump(mode="json")
-        identity = {"request": body, "retry_of": retry_of}
+        # what the client gave: a later version has other fields and defaults beside it
+        identity = {
+            "request": request.model_dump(mode="json", exclude_unset=True),
+            "retry_of": retry_of,
+        }
         digest = f"sha256:{json_digest(identity)}"
         # before the references are looked at: what they name may be gone by now
         known = self._backend.jobs.earlier(
@@ -65,6 +69,7 @@ class JobService:
             job_id=job_id,
             idempotency_key=idempotency_key,
             body_digest=digest,
+            same=lambda job: job.retry_of == retry_of and spelled_out(job.request) == body,
         )
         if known is not None:
             return known, False
@@ -151,6 +156,17 @@ class JobService:
         if is_new:
             enqueue(self._backend, new)
         return job, is_new
+
+
+def spelled_out(stored: dict[str, Any]) -> dict[str, Any] | None:
+    """Give a stored request as this version spells it out; None where it takes it no more.
+
+    Digests that earlier versions made are of requests as these spelled them out.
+    """
+    try:
+        return job_request_adapter.validate_python(stored).model_dump(mode="json")
+    except ValidationError:
+        return None
 
 
 def enqueue(backend: Backend, new: NewJob) -> None:

@@ -5,7 +5,14 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationInfo, field_serializer, field_validator
+from pydantic import (
+    Field,
+    FieldSerializationInfo,
+    TypeAdapter,
+    ValidationInfo,
+    field_serializer,
+    field_validator,
+)
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
@@ -173,7 +180,9 @@ class StudyRequest(_Submission):
     """Paths into the base and the values there: `{"settings.n_clusters": [16, 32]}`, or a list."""
 
     @field_serializer("base")
-    def _sparse(self, base: Studied) -> dict[str, Any]:
+    def _sparse(self, base: Studied, info: FieldSerializationInfo) -> dict[str, Any]:
+        if info.exclude_unset:
+            return base.model_dump(mode="json", exclude_unset=True)
         return _as_given(base)
 
     @field_validator("axes")
