@@ -56,6 +56,7 @@ class _Work:
     queued: dict[str, int] = field(default_factory=dict)
     done: dict[int, Memory] = field(default_factory=dict)
     losses: Counter[int] = field(default_factory=Counter)
+    recalled: bool = False
 
 
 class JobRun:
@@ -98,16 +99,21 @@ class JobRun:
         for index, stage in enumerate(stages):
             self._check_stop()
             work = _Work(index, stage.tasks(results))
+            looked = time.monotonic()
             for position, task in enumerate(work.tasks):
+                # a study has thousands, and a store may be far away
+                if time.monotonic() - looked >= PROGRESS_EVERY_S:
+                    self._check_stop()
+                    looked = time.monotonic()
                 if (memory := self._recall(task, task.key)) is not None:
                     work.done[position] = memory
                 else:
                     work.waiting.append(position)
-            recalled = bool(work.done)
+            work.recalled = bool(work.done)
             self._report(tally, work, now=True)
             self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
             memories = [work.done[position] for position in range(len(work.tasks))]
-            enter(results, stage, memories, recalled=recalled)
+            enter(results, stage, memories, recalled=work.recalled)
         finished = self._runner.finish(run.kind, run.request, run.context, results)
         self._succeed(finished, tally)
 
@@ -166,6 +172,7 @@ class JobRun:
             self._run_again(work, position)
         else:
             work.done[position] = memory
+            work.recalled |= outcome.recalled
 
     def _recall(self, task: Task, key: str) -> Memory | None:
         return self._attempts.make(f"recalling {task.title}", recall, self._services.store, key)

@@ -51,22 +51,31 @@ class Outcome:
         Under what the result of a task that is done is remembered: the name that the task has with
         the code of the worker that ran it, which in the midst of an upgrade may not be the
         parent's.
+    recalled
+        Whether it was not run for this: its costs are of another time.
     """
 
     status: str
     error: JobError | None = None
     key: str = ""
+    recalled: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Write as JSON."""
         error = self.error.model_dump() if self.error is not None else None
-        return {"status": self.status, "error": error, "key": self.key}
+        return {
+            "status": self.status,
+            "error": error,
+            "key": self.key,
+            "recalled": self.recalled,
+        }
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Outcome":
         """Read back."""
         error = JobError.model_validate(data["error"]) if data["error"] else None
-        return Outcome(data["status"], error, data["key"])
+        # a worker of before this was told leaves it out
+        return Outcome(data["status"], error, data["key"], bool(data.get("recalled", False)))
 
 
 class TaskRun:
@@ -91,7 +100,8 @@ class TaskRun:
         store, task, attempts = self._services.store, self._task, self._attempts
         try:
             self._check_stop()
-            if attempts.make(f"recalling {task.title}", recall, store, task.key) is None:
+            known = attempts.make(f"recalling {task.title}", recall, store, task.key)
+            if known is None:
                 memory = attempts.make(f"running {task.title}", self._once)
                 attempts.make(f"remembering {task.title}", remember, store, task.key, memory)
         except TaskStopped as stopped:
@@ -105,7 +115,7 @@ class TaskRun:
         except Exception as error:  # noqa: BLE001 - logged whole, and the outcome says it
             _log.exception("task.crashed", extra=self._fields)
             return Outcome("failed", describe(error))
-        return Outcome("done", key=self._task.key)
+        return Outcome("done", key=self._task.key, recalled=known is not None)
 
     def _once(self) -> Memory:
         started = time.monotonic()

@@ -17,7 +17,7 @@ from child_tasks import TWO_STAGES
 
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import Job, JobState
-from prtbake_storage.queue import patience, stages
+from prtbake_storage.queue import parent, patience, stages
 from prtbake_storage.queue.engine import GIVEN_UP, task_id
 from prtbake_storage.queue.memo import recall
 from prtbake_storage.queue.parent import JobRun
@@ -237,3 +237,49 @@ def test_a_task_that_too_many_workers_were_lost_with_fails_the_job(
     assert (job.state, job.error.kind, job.error.code) == ("failed", "resource", "poison-task")
     lost = services.settings.worker_losses
     assert job.error.detail.startswith(f"{lost} workers were lost while they ran this task")
+
+
+def test_a_result_that_another_job_made_in_the_meantime_is_recalled(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What its making took is another job's: nothing is learnt of it."""
+    found: dict[str, bool] = {}
+    finish = TWO_STAGES.finish
+
+    def spy(kind: str, request: Any, context: Any, results: Results) -> Any:
+        found.update({stage: results.recalled(stage) for stage in results})
+        return finish(kind, request, context, results)
+
+    submit = queue.submit_task
+
+    def made_elsewhere(*args: Any, **fields: Any) -> str:
+        if "other" not in found:  # between the list of this stage and the run of its first task
+            found["other"] = True
+            TaskRun(services, "job", 0, 0, first_task("red")).run()
+        return submit(*args, **fields)
+
+    monkeypatch.setattr(TWO_STAGES, "finish", spy)
+    monkeypatch.setattr(queue, "submit_task", made_elsewhere)
+    submitted(services.database, "red")
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    first, last = list(found)[1:]
+    assert (found[first], found[last]) == (True, False)
+
+
+def test_a_job_of_many_tasks_looks_for_a_cancel_while_it_recalls_them(
+    services: Services, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def slow(store: Any, key: str) -> None:
+        asked.append(key)
+        if len(asked) == 3:
+            Jobs(services.database).request_cancel("job")
+
+    monkeypatch.setattr(parent, "recall", slow)
+    monkeypatch.setattr(parent, "PROGRESS_EVERY_S", 0.0)
+    submitted(services.database, *(f"word {index}" for index in range(40)))
+    job = walk(services, queue)
+    assert job.state == JobState.canceled
+    assert (len(asked), queue.n_runs) == (3, 0)

@@ -81,6 +81,14 @@ def test_a_store_that_fails_in_passing_is_asked_again(
     assert all("retrying after: OSError: [Errno 5]" in line for line in log_of(services))
 
 
+def test_what_was_made_before_says_so(services: Services) -> None:
+    ran, found = run(services), run(services)
+    assert (ran.recalled, found.recalled) == (False, True)
+    assert Outcome.from_dict(found.to_dict()) == found
+    # a worker of an earlier version does not tell
+    assert Outcome.from_dict({"status": "done", "error": None, "key": TASK.key}) == ran
+
+
 @pytest.mark.parametrize("method", CALLS)
 def test_a_store_that_stays_away_fails_the_task_by_what_was_tried(
     services: Services, method: str
