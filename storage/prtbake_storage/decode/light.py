@@ -30,6 +30,10 @@ LobeMethod = Literal["srbf_scattered", "srbf_uniform"]
 VALUES_AT_A_TIME = 1 << 22
 """Of functions in directions: 32 MiB."""
 
+MOST_SAMPLES_ALONG = 1024
+"""Of a face of the cube map that wavelets are integrated on, 400 MB in all.  The narrowest basis
+that bakes make asks for 896; a crafted one could ask for any number."""
+
 
 @runtime_checkable
 class Light(Protocol):
@@ -162,10 +166,22 @@ class WaveletLight:
         return np.asarray(self.texels[cube_texel_of(directions, self.resolution)])
 
     def on_basis(self, basis: TransferBasis, rotation: F64 | None = None) -> F64:
-        """Integrate over the texels, cut into parts that resolve the basis, turned."""
+        """Integrate over the texels, cut into parts that resolve the basis, turned.
+
+        Raises
+        ------
+        SettingsError
+            The basis is narrower than any that bakes make.
+        """
         # a texel is widest in the middle of a face
-        parts = max(1, int(np.ceil(2.0 / self.resolution / basis.spacing_rad)))
-        directions, solid_angles, owners = cube_texels(self.resolution, parts)
+        parts = np.ceil(2.0 / self.resolution / basis.spacing_rad)
+        if not self.resolution * parts <= MOST_SAMPLES_ALONG:
+            raise SettingsError(
+                f"the basis has functions that samples {basis.spacing_rad:.3g} rad apart resolve: "
+                f"a light of wavelets takes {MOST_SAMPLES_ALONG} along a face of its cube at most",
+                pointer="/basis/bandwidth",
+            )
+        directions, solid_angles, owners = cube_texels(self.resolution, max(1, int(parts)))
         if rotation is not None:
             directions = directions @ rotation.T
         return basis.light_of_samples(directions, solid_angles, self.texels[owners])

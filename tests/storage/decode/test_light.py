@@ -13,6 +13,7 @@ from prtbake_storage.decode.sh import eval_sh
 from prtbake_storage.decode.sh_turn import turn_sh
 from prtbake_storage.decode.srbf import gaussian
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics, WhitenedSrbfs
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.basis.sh import rotate_sh
 from prtbake_workers.geometry.icosphere import icosphere
 from support.quadrature import random_directions, sphere_quadrature
@@ -83,6 +84,20 @@ def test_wavelets_are_integrated_to_the_basis_own_resolution(lights):
         found = project_light(basis, light)
         # parts of a quarter of the functions' width: second order in it, 4e-4 was measured
         assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_a_basis_narrower_than_any_that_is_baked_is_refused():
+    """A crafted asset must not make its reader cut a cube map into any number of texels."""
+    light = WaveletLight(
+        resolution=8, indices=np.array([0], np.int32), coefficients=np.ones((1, 3))
+    )
+    for bandwidth in (1e6, 1e300):
+        with pytest.raises(SettingsError, match="1024 along a face") as refused:
+            light.on_basis(WhitenedSrbfs(icosphere(0), bandwidth))
+        assert refused.value.pointer == "/basis/bandwidth"
+    # negative twin: ten times the default of as many is taken
+    widest = WhitenedSrbfs(icosphere(0), 600.0 * 12 / 642)
+    assert np.isfinite(light.on_basis(widest)).all()
 
 
 @pytest.mark.parametrize("order", [1, 2, 7, 20])
