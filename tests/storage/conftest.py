@@ -34,13 +34,14 @@ def make_asset(
     def random(*shape: int) -> np.ndarray:
         return rng.normal(size=shape).astype(np.float32)
 
-    common: dict[str, Any] = {
-        "ranks": np.full((clusters, 3), 2, np.int32), "n_channels": n_channels,
-    }  # fmt: skip
+    def ranks(*of_all: int) -> np.ndarray:
+        return np.tile(np.array(of_all, np.int32), (clusters, 1))
+
+    common: dict[str, Any] = {"n_channels": n_channels}
     glossy = Part(
         name="object", vertex_range=(0, n_glossy), material={"model": "phong", "exponent": 10.0},
         method="cta", labels=rng.integers(0, clusters, n_glossy).astype(np.int32),
-        weights=random(n_glossy, r_vert) * falling, view_basis=random(terms, r_view),
+        ranks=ranks(2, 2, 2), weights=random(n_glossy, r_vert) * falling, view_basis=random(terms, r_view),
         view_texture=random(8, 8, r_view, 3), light_bases=random(clusters, coeffs, r_light),
         dual_bases=random(clusters, r_vert, n_channels * r_view * r_light),
         frames=frames_about(normals[:n_glossy].astype(np.float64), rng).astype(np.float32),
@@ -50,7 +51,7 @@ def make_asset(
     diffuse = Part(
         name="receiver", vertex_range=(n_glossy, verts), material={"model": "lambert"},
         method="cpca", labels=rng.integers(0, clusters, n_diffuse).astype(np.int32),
-        weights=random(n_diffuse, pcs), means=random(clusters, n_channels * coeffs),
+        ranks=ranks(1, coeffs, 2), weights=random(n_diffuse, pcs), means=random(clusters, n_channels * coeffs),
         components=random(clusters, pcs, n_channels * coeffs), albedo=np.array([0.7], np.float32),
         albedo_texture=rng.random((4, 6, 3)).astype(np.float32), **common,
     )  # fmt: skip

@@ -283,6 +283,32 @@ def test_a_dataset_that_breaks_the_schema_is_named(asset: Asset, tmp_path: Path,
         read_asset(path)
 
 
+@pytest.mark.parametrize(
+    ("part", "place", "value", "most"),
+    [
+        (0, (1, 0), 4, 3),  # view, of the view basis
+        (0, (0, 1), -1, 5),  # light, of the light bases
+        (0, (3, 2), 99, 4),  # vertices, of the weights
+        (1, (0, 1), 43, 42),  # coefficients, of the basis
+        (1, (2, 2), 1 << 30, 2),
+    ],
+)
+def test_ranks_beyond_the_arrays_are_refused(
+    asset: Asset, tmp_path: Path, part: int, place: tuple[int, int], value: int, most: int
+) -> None:
+    path = tmp_path / "a.h5"
+    write_asset(path, asset)
+    ranks = asset.parts[part].ranks.copy()
+    ranks[place] = most
+    name = f"parts/{part}/clusters/ranks"
+    edited(path, name, ranks)
+    read_asset(path)
+    ranks[place] = value
+    edited(path, name, ranks)
+    with pytest.raises(CorruptArtefact, match=f"{name} is {value} at .*outside 0 to {most}"):
+        read_asset(path)
+
+
 @pytest.mark.parametrize("name", ["mesh/faces", "parts/0/weights", "provenance", "basis/centres"])
 def test_a_missing_dataset_is_named(asset: Asset, tmp_path: Path, name: str) -> None:
     path = tmp_path / "a.h5"

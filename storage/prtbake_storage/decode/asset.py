@@ -342,6 +342,7 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
                 f"{where}/clusters/components has shape {found}, not {(clusters, n_weights, dims)}"
             )
         _finite(f"{where}/clusters/components", part.components)
+    _check_ranks(f"{where}/clusters/ranks", part, n_coeffs)
     if part.view_texture is not None:
         res, channels = part.view_texture.shape[0], part.view_texture.shape[-1]
         _shape(f"{where}/view_texture", part.view_texture, (res, res, n_view, channels))
@@ -362,6 +363,16 @@ def _check_part(where: str, part: Part, n_coeffs: int) -> None:
     if part.vertex_colours is not None:
         _shape(f"{where}/vertex_colours", part.vertex_colours, (verts, 3))
         _fractions(f"{where}/vertex_colours", part.vertex_colours)
+
+
+def _check_ranks(name: str, part: Part, n_coeffs: int) -> None:
+    """Hold the ranks against the arrays that they are ranks of."""
+    of_light = n_coeffs if part.light_bases is None else part.light_bases.shape[-1]
+    most = np.array([part.n_view, of_light, part.weights.shape[-1]])
+    bad = np.argwhere((part.ranks < 0) | (part.ranks > most))
+    if bad.size:
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name} is {part.ranks[place]} at {place}, outside 0 to {most[place[1]]}")
 
 
 def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
