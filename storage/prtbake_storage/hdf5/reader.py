@@ -140,25 +140,27 @@ def _factor(
     if name == "weights":
         scale_shape = (n_clusters, array.shape[1])
     scale: F32 = h5.get(group, f"{name}_scale", "f", scale_shape).astype(np.float32)
-    levels, bits[name] = _levels(h5.dataset(group, name, "i", axes), array)
-    return dequantised(name, levels, scale, labels)
+    offset, bits[name] = _precision_of(h5.dataset(group, name, "i", axes), array)
+    return dequantised(name, array, scale, labels, offset=offset)
 
 
-def _levels(source: h5py.Dataset, stored: NDArray[Any]) -> tuple[NDArray[Any], int]:
-    """Return levels and their bits; files from before these were chosen have neither attribute."""
+def _precision_of(source: h5py.Dataset, stored: NDArray[Any]) -> tuple[int, int]:
+    """Return what levels are stored above, and their bits.
+
+    Files from before these were chosen have neither attribute.
+    """
     offset = h5.attribute(source, "offset") if h5.has_attribute(source, "offset") else 0
     if not isinstance(offset, int) or not 0 <= offset < 1 << 15:
         raise CorruptArtefact(f"{source.name}: offset is {offset!r}")
     if stored.dtype.itemsize > 2:
         raise CorruptArtefact(f"{source.name} is {stored.dtype}, of more than 16 bits")
-    levels = stored.astype(np.int32) - offset
-    found = bits_of(levels)
+    found = bits_of(stored, offset=offset)
     if not h5.has_attribute(source, "bits"):
-        return levels, found
+        return offset, found
     stated = h5.attribute(source, "bits")
     if stated != found:
         raise CorruptArtefact(f"{source.name}: bits is {stated!r}, its levels take {found}")
-    return levels, found
+    return offset, found
 
 
 def _precision(group: h5py.Group, bits: dict[str, int]) -> Precision | None:

@@ -1,5 +1,6 @@
 """Rounded factors: half a step at most, exact in float32, small columns kept."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from prtbake_storage.decode.asset import Asset
 from prtbake_storage.decode.quantise import (
+    NUMBERS_AT_A_TIME,
     bits_of,
     dequantised,
     finest_scale,
@@ -85,6 +87,28 @@ def test_every_number_of_bits_is_off_by_half_a_step(asset: Asset, bits: int) -> 
 def test_bits_count_the_sign() -> None:
     given = {0: 1, 1: 2, -1: 2, 2: 3, 3: 3, 127: 8, -127: 8, 128: 9, 32767: 16, -32767: 16}
     assert {value: bits_of(np.array([value], np.int16)) for value in given} == given
+
+
+def test_reading_levels_takes_no_more_than_their_factor(rng: np.random.Generator) -> None:
+    labels = rng.integers(0, 5, 40_000).astype(np.int32)
+    stored = rng.integers(-128, 128, (40_000, 50)).astype(np.int8)
+    scale = rng.uniform(0.1, 1.0, (5, 50)).astype(np.float32)
+    tracemalloc.start()
+    factor = dequantised("weights", stored, scale, labels, offset=3)
+    bits = bits_of(stored, offset=3)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # all at once: levels in 32 bits, as floats and with their scales are 12 bytes a stored one more
+    assert peak < 1.2 * factor.nbytes + 8 * NUMBERS_AT_A_TIME
+    expected = (stored.astype(np.int32) - 3).astype(np.float32) * scale[labels]
+    np.testing.assert_array_equal(factor, expected)
+    assert bits == bits_of(stored.astype(np.int32) - 3) == 9
+    bases = rng.integers(-9, 9, (5, 30, 4)).astype(np.int16)
+    for shape in ((5, 1, 4), (1, 1, 4)):
+        own = rng.uniform(0.1, 1.0, shape).astype(np.float32)
+        np.testing.assert_array_equal(
+            dequantised("light_bases", bases, own, labels), bases.astype(np.float32) * own
+        )
 
 
 def test_scales_next_to_a_step() -> None:
