@@ -40,7 +40,8 @@ Tables 5.2 to 5.17 of [Chen2005](../references.md) with our clustered PCA, ours 
 
 - **clustered PCA**: LBG and a PCA of {COMPONENTS} components in each cluster, his "Original CPCA".
 - **moves**: vertices of it moved to neighbours' clusters with a budget of zero, so that only error
-  that moves and new fits win is spent. His "CPCA overdraw red.".
+  that moves and new fits win is spent, until vertices settle where neither error nor draws rise. His "CPCA
+  overdraw red.".
 - **coherence, moves, superclusters**: clusters with geometry coherence, positions in diagonals of the bounding
   box and alpha {ALPHA}, their vertices moved as above, and drawn in superclusters for {REGISTERS} registers. A cluster
   is taken to need the 81 of section 4.1, so that three are drawn together. His "Our method".
