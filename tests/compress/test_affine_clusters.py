@@ -10,6 +10,7 @@ from prtbake_workers.compress.affine_clusters import (
     projected_weights,
     squared_residuals,
 )
+from prtbake_workers.compress.coherence import coherence_of
 from prtbake_workers.compress.gram_eigh import leading_row_space
 
 
@@ -114,6 +115,43 @@ def test_fees_are_charged_for_every_component(rng):
     proposed = propose_clusters(rows, subspaces, labels, errors[at, labels], fees)
     assert np.mean(proposed == np.argmin(charged, axis=1)) > 0.99
     assert np.mean(proposed == np.argmin(errors, axis=1)) < 0.7
+
+
+def _coherent_costs(coherence, labels, errors, unit):
+    """E of [Chen2005]_ (9) and (10) of every vertex in every cluster, pair by pair."""
+    apart = np.linalg.norm(coherence.positions[:, None] - coherence.positions[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    nearest = np.column_stack(
+        [apart[:, labels == cluster].min(axis=1) for cluster in range(errors.shape[1])]
+    )
+    return np.sqrt(errors) / unit + coherence.alpha * np.minimum(nearest, 1.0)
+
+
+@pytest.mark.parametrize("charged", [False, True])
+def test_with_coherence_a_vertex_goes_where_it_costs_least_and_its_error_falls(rng, charged):
+    ranks = np.array([2, 0, 3, 1, 2])
+    subspaces = _random_subspaces(rng, ranks, 12)
+    rows = rng.standard_normal((200, 12)).astype(np.float32)
+    unit = np.sqrt(np.mean(np.sum(rows.astype(float) ** 2, axis=1)))
+    fees = rng.uniform(0.0, 0.2, 200) if charged else None
+    errors = np.column_stack([_oracle(rows, subspace) for subspace in subspaces])
+    at, labels = np.arange(200), rng.integers(0, 5, 200).astype(np.int32)
+    coherence = coherence_of(rng.random((200, 3)), 3.0)
+    clusters = AffineClusters(
+        rows, np.ones(200), labels.copy(), 5, depth=3, row_space=leading_row_space,
+        coherence=coherence,
+    )  # fmt: skip
+    clusters.subspaces, clusters.errors = subspaces, errors[at, labels]
+    paid = errors + (0.0 if fees is None else fees[:, None] * ranks)
+    costs = _coherent_costs(coherence, labels, paid, unit)
+    costs[paid > paid[at, labels][:, None]] = np.inf
+    expected = np.argmin(costs, axis=1)
+    moved = affine_classify.reclassify(clusters, fees)
+    np.testing.assert_array_equal(clusters.labels, expected)
+    assert moved == np.count_nonzero(expected != labels) > 20
+    np.testing.assert_allclose(clusters.errors, errors[at, expected], rtol=1e-4)
+    # by error alone other vertices move
+    assert np.mean(expected != np.argmin(paid, axis=1)) > 0.1
 
 
 def test_most_clusters_are_left_out_and_none_that_is_better(diffuse):

@@ -3,6 +3,7 @@ import pytest
 
 from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress.affine_clusters import AffineClusters
 from prtbake_workers.compress.classify import reclassify
 from prtbake_workers.compress.cluster_factors import ClusterFactors
 from prtbake_workers.compress.coherence import (
@@ -124,6 +125,28 @@ def test_tensors_of_coherent_clusters_are_drawn_less_often(glossy):
     overdraw = [average_overdraw(faces, model.labels) for model in (plain, coherent)]
     assert overdraw[1] < overdraw[0]
     assert np.all(np.diff(coherent.objective) <= 1e-7 * coherent.initial_energy)
+
+
+@pytest.mark.parametrize("method", ["iterative", "adaptive"])
+def test_classification_by_error_keeps_clusters_together(rng, method, monkeypatch):
+    """The halves of a grid lie on two lines that cross: near there either serves a vertex."""
+    lines = np.linalg.qr(rng.standard_normal((10, 2)))[0].T
+    truth = np.arange(SIDE * SIDE) % SIDE >= SIDE // 2
+    along = rng.uniform(-1.0, 1.0, (SIDE * SIDE, 1)) * lines[truth.astype(int)]
+    noise = 0.1 * rng.standard_normal(along.shape)
+    signal, faces = (along + noise + 1.0).astype(np.float32), grid_faces(SIDE)
+    options = {
+        "seed": 1, "max_iterations": 8, "coherence": coherence_of(grid_positions(SIDE), 3.0),
+    }  # fmt: skip
+    static, coherent = (
+        compress_cpca(signal, 2, 1, method=name, **options) for name in ("static", method)
+    )
+    assert coherent.objective[-1] < static.objective[-1]
+    # the same, but for coherence in the clusters that it starts from alone
+    monkeypatch.setattr(AffineClusters, "coherent_moves", lambda *_: None)
+    started = compress_cpca(signal, 2, 1, method=method, **options)
+    overdraw = [average_overdraw(faces, model.labels) for model in (coherent, started)]
+    assert overdraw[0] - 1.0 < 0.95 * (overdraw[1] - 1.0)
 
 
 def test_a_vertex_moves_only_where_that_pays():

@@ -62,6 +62,26 @@ def test_components_are_cut_to_the_signal_and_none_is_refused(diffuse):
 
 
 @pytest.mark.parametrize("n_verts", [600, 60], ids=["tall", "wide"])
+def test_models_of_any_size_come_of_one_gram_matrix(diffuse, n_verts, monkeypatch):
+    signal = diffuse[:n_verts]
+    weights = np.linspace(0.5, 2.0, n_verts)
+    sums = []
+    whole = pca._gram
+    monkeypatch.setattr(pca, "_gram", lambda *given: sums.append(1) or whole(*given))
+    principal = pca.Principal(signal, weights)
+    for n_components in (4, 12, 7):
+        found = principal.model(n_components, seed=0)
+        alone = compress_pca(signal, n_components, seed=0, vertex_weights=weights)
+        assert found.components.shape == alone.components.shape
+        # eigenvectors of another subset: the same to float64, and so to a float32 rounding
+        for name in ("objective", "squared_error_per_vertex"):
+            np.testing.assert_allclose(getattr(found, name), getattr(alone, name), rtol=1e-4)
+    assert len(sums) == 1 + 3
+    other = principal.model(6, seed=0)
+    assert other.objective[-1] > 1.01 * found.objective[-1]
+
+
+@pytest.mark.parametrize("n_verts", [600, 60], ids=["tall", "wide"])
 def test_it_is_clustered_pca_with_one_cluster(diffuse, n_verts):
     signal = diffuse[:n_verts]
     one, other = compress_pca(signal, 6, seed=0), compress_cpca(signal, 1, 6, seed=0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.compress import pca
 from prtbake_workers.compress.methods import Fit, compress
 from prtbake_workers.compress.to_error import Scaled, _at, compress_to_error
 
@@ -37,6 +38,20 @@ def test_the_error_ends_within_a_tenth_below_the_target(method, target, glossy, 
     found = compress_to_error(method, glossy, Sizes(), fit_of(weights), target).model
     assert 0.9 * target < found.squared_error_ratio <= target
     assert measured(glossy, found, weights) <= target
+
+
+def test_a_search_of_pca_decomposes_once(glossy, weights, monkeypatch):
+    sums = []
+    whole = pca._gram
+    monkeypatch.setattr(pca, "_gram", lambda *given: sums.append(1) or whole(*given))
+    tried = []
+    fits = pca.Principal.model
+    monkeypatch.setattr(
+        pca.Principal, "model", lambda *given, **more: tried.append(1) or fits(*given, **more)
+    )
+    found = compress_to_error("pca", glossy, Sizes(), fit_of(weights), 0.004).model
+    assert measured(glossy, found, weights) <= 0.004
+    assert (len(sums), len(tried) > 1) == (1, True)
 
 
 def test_colours_meet_their_target(coloured, weights):

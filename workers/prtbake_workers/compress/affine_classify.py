@@ -16,6 +16,9 @@ present one are tried, which leaves out none that is.
 
 Either way proposes only; `AffineClusters.move` decides by the residual itself, so neither rounding
 nor cancellation near zero error moves a vertex.
+
+With coherence, what is proposed is the cluster of least E of [Chen2005]_ (9) among those that
+approximate the vertex better than its own, and only where E falls too.
 """
 
 from collections.abc import Sequence
@@ -23,8 +26,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from prtbake_workers.arrays import B8, F32, F64, I32, I64, Bool, Float32, Float64, Int32, Int64
-from prtbake_workers.compress.affine_clusters import AffineSubspace
+from prtbake_workers.compress.affine_clusters import AffineClusters, AffineSubspace
 from prtbake_workers.compress.clusters import members_by_cluster
+from prtbake_workers.compress.coherence import CoherentMoves
 from prtbake_workers.compress.energy import row_energy
 from prtbake_workers.compress.parallel import map_in_order
 
@@ -38,12 +42,30 @@ LEAST_CLUSTERS = 16
 BOUND_SLACK = 1e-5
 
 
+def reclassify(clusters: AffineClusters, fees: Float64[F64, " verts"] | None = None) -> int:
+    """Move every vertex to the cluster that serves it best; return how many moved.
+
+    Parameters
+    ----------
+    clusters
+        Changed: labels and errors.  The squared error, with the fees, does not rise.
+    fees
+        As in `propose_clusters`.
+    """
+    moves = clusters.coherent_moves(fees)
+    proposed = propose_clusters(
+        clusters.signal, clusters.subspaces, clusters.labels, clusters.errors, fees, moves
+    )
+    return clusters.move(proposed, fees, moves)
+
+
 def propose_clusters(
     signal: Float32[F32, "verts dims"],
     subspaces: Sequence[AffineSubspace],
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
     fees: Float64[F64, " verts"] | None = None,
+    moves: CoherentMoves | None = None,
 ) -> Int32[I32, " verts"]:
     """Return the cluster that approximates each vertex best, to float32.
 
@@ -56,13 +78,15 @@ def propose_clusters(
         squared residual there.
     fees
         What a component of its cluster costs each vertex, as squared error; none when None.
+    moves
+        With it, a vertex goes where it costs least, of the clusters that approximate it better.
     """
     fees = np.zeros(len(signal)) if fees is None else fees
     candidates = _Candidates(subspaces)
     columns = 1.0 + candidates.ranks.mean()
     wide = signal.shape[1] > LEAST_DIMENSIONS_OVER * columns
-    if wide and len(subspaces) >= LEAST_CLUSTERS:
-        return _among_possible(signal, candidates, labels, errors, fees)
+    if moves is not None or (wide and len(subspaces) >= LEAST_CLUSTERS):
+        return _among_possible(signal, candidates, labels, errors, fees, moves)
     return _among_all(signal, candidates, labels, fees)
 
 
@@ -138,6 +162,7 @@ def _among_possible(
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
     fees: Float64[F64, " verts"],
+    moves: CoherentMoves | None,
 ) -> Int32[I32, " verts"]:
     members = members_by_cluster(labels, len(candidates.ranks))
     proposed = labels.copy()
@@ -147,13 +172,19 @@ def _among_possible(
         if len(verts) == 0:
             return
         rows = signal[verts] - candidates.origin
+        energy = np.zeros(len(rows)) if moves is None else row_energy(rows)
         possible = _possible(rows, cluster, candidates, errors[verts], fees[verts])
         best = np.full(len(verts), cluster, dtype=np.int32)
-        least = _error_in(rows, cluster, candidates) + fees[verts] * candidates.ranks[cluster]
+        own = _error_in(rows, cluster, candidates) + fees[verts] * candidates.ranks[cluster]
+        least = own.copy() if moves is None else moves.own[verts]
         for other in np.flatnonzero(possible.any(axis=0)).tolist():
             some = np.flatnonzero(possible[:, other])
             charge = fees[verts[some]] * candidates.ranks[other]
             found = _error_in(rows[some], other, candidates) + charge
+            if moves is not None:
+                nearer = found < own[some]
+                some = some[nearer]
+                found = moves.cost(verts[some], other, found[nearer] + energy[some])
             better = found < least[some]
             best[some[better]] = other
             least[some[better]] = found[better]

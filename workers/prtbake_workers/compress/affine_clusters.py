@@ -16,7 +16,8 @@ from prtbake_workers.compress.clusters import (
     refill_empty_clusters,
     weighted_mean,
 )
-from prtbake_workers.compress.energy import row_energy
+from prtbake_workers.compress.coherence import Coherence, CoherentMoves
+from prtbake_workers.compress.energy import row_energy, row_energy_by_chunks
 from prtbake_workers.compress.parallel import map_in_order
 
 RowSpace = Callable[[F64, int], F64]
@@ -102,6 +103,8 @@ class AffineClusters:
         those where their number is still open.
     row_space
         The principal component analysis.
+    coherence
+        Lets vertices pay for being far from their cluster on the mesh; None for the signal alone.
 
     Attributes
     ----------
@@ -122,8 +125,12 @@ class AffineClusters:
         *,
         depth: int,
         row_space: RowSpace,
+        coherence: Coherence | None = None,
     ) -> None:
         self.signal, self.weights, self.labels = signal, weights, labels
+        self.coherence = coherence
+        energy = 0.0 if coherence is None else float(weights @ row_energy_by_chunks(signal))
+        self._unit = float(np.sqrt(energy / weights.sum())) if energy > 0.0 else 1.0
         self.n_clusters, self.depth, self.row_space = n_clusters, depth, row_space
         self.ranks: I64 = np.zeros(n_clusters, dtype=np.int64)
         none = np.zeros(0, dtype=np.float32)
@@ -194,8 +201,23 @@ class AffineClusters:
         map_in_order(cut, np.flatnonzero(self._uncut).tolist())
         self._uncut[:] = False
 
+    def coherent_moves(self, fees: Float64[F64, " verts"] | None = None) -> CoherentMoves | None:
+        """Return what vertices pay for their places now, fees included; None without coherence."""
+        if self.coherence is None:
+            return None
+        errors = self.errors
+        if fees is not None:
+            errors = errors + fees * self._used()[self.labels]
+        return CoherentMoves(self.coherence, self.labels, self.n_clusters, errors, self._unit)
+
+    def _used(self) -> I64:
+        return np.array([len(subspace.basis) for subspace in self.subspaces])
+
     def move(
-        self, proposed: Int32[I32, " verts"], fees: Float64[F64, " verts"] | None = None
+        self,
+        proposed: Int32[I32, " verts"],
+        fees: Float64[F64, " verts"] | None = None,
+        moves: CoherentMoves | None = None,
     ) -> int:
         """Move vertices to the proposed clusters where that really pays; return how many moved.
 
@@ -205,10 +227,12 @@ class AffineClusters:
             A cluster for each vertex.
         fees
             Squared error that one component more must save each vertex; none when None.
+        moves
+            Of `coherent_moves`, with the same fees: lets no vertex go where it would pay more.
         """
         candidates = np.flatnonzero(proposed != self.labels)
         groups = members_by_cluster(proposed[candidates], self.n_clusters)
-        used = np.array([len(subspace.basis) for subspace in self.subspaces])
+        used = self._used()
 
         def confirm(cluster: int) -> int:
             verts = candidates[groups[cluster]]
@@ -217,6 +241,9 @@ class AffineClusters:
             if fees is not None:
                 more = fees[verts] * (used[cluster] - used[self.labels[verts]])
             pays = residuals + more < self.errors[verts]
+            if moves is not None:
+                charge = 0.0 if fees is None else fees[verts] * used[cluster]
+                pays &= moves.pays(verts, cluster, residuals + charge)
             movers = verts[pays]
             left.extend(np.unique(self.labels[movers]).tolist())
             self.labels[movers] = cluster

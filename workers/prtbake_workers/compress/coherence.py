@@ -10,6 +10,10 @@ count: it would be at distance zero, and a vertex alone among others would never
 The thesis leaves units open, so that alpha means something else on every mesh and material.  Here
 positions are in diagonals of the vertices' bounding box, and signal distances in root mean square
 norms of the signal: the same alpha does the same at any scale and albedo.
+
+Clusters found by means take E as it is, and the squared error may rise.  Where clusters have bases,
+d is the root of the squared error in them, and a vertex moves only where E and that error both fall
+(`CoherentMoves`): so the objective never rises.
 """
 
 from dataclasses import dataclass
@@ -20,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.parallel import map_in_order
 
@@ -113,6 +117,45 @@ class ClusterPlaces:
             return np.full(len(verts), self.coherence.alpha)
         nearest = tree.query(self.coherence.positions[verts])[0]
         return np.asarray(self.coherence.alpha * nearest, dtype=np.float64)
+
+
+class CoherentMoves:
+    """What E says to moves by squared error, while clusters are as they are.
+
+    Parameters
+    ----------
+    coherence, labels, n_clusters
+        As of `ClusterPlaces`.
+    errors
+        Squared error of each vertex in its cluster, and what else is charged for being there.
+    unit
+        Root mean square norm of the signal, above 0.
+    """
+
+    def __init__(
+        self,
+        coherence: Coherence,
+        labels: Int32[I32, " verts"],
+        n_clusters: int,
+        errors: Float64[F64, " verts"],
+        unit: float,
+    ) -> None:
+        self.places = ClusterPlaces(coherence, labels, n_clusters)
+        self.unit = unit
+        self.own = np.sqrt(errors) / unit + self.places.own_cost()
+
+    def cost(
+        self, verts: NDArray[Any], cluster: int, errors: Float64[F64, " some"]
+    ) -> Float64[F64, " some"]:
+        """Return E of vertices in a cluster that they are not in, with their squared errors there."""
+        distances = np.sqrt(np.maximum(errors, 0.0)) / self.unit
+        return np.asarray(distances + self.places.cost(verts, cluster), dtype=np.float64)
+
+    def pays(
+        self, verts: NDArray[Any], cluster: int, errors: Float64[F64, " some"]
+    ) -> Bool[B8, " some"]:
+        """Tell which vertices would pay less in that cluster than in their own."""
+        return np.asarray(self.cost(verts, cluster, errors) < self.own[verts], dtype=np.bool_)
 
 
 def cheapest_clusters(

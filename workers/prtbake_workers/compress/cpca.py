@@ -85,8 +85,8 @@ def compress_cpca(
         How principal components are found: ``gram_eigh`` decomposes Gram matrices,
         ``power_iteration`` takes one vector after the other, slower ([Miandji2011]_ appendix).
     coherence
-        Lets vertices pay, in the clustering by means, for being far from their cluster on the mesh;
-        None for the signal alone.
+        Lets vertices pay for being far from their cluster on the mesh, in the clustering by means
+        and by error; None for the signal alone.
     progress
         Called with the fraction done and a word on the state, at most once an iteration.
 
@@ -196,6 +196,7 @@ class _Fit:
             len(used),
             depth=n_components,
             row_space=self.row_space,
+            coherence=self.coherence,
         )
         clusters.find_components()
         return clusters

@@ -10,7 +10,7 @@ falls in both halves of a step.
 import numpy as np
 
 from prtbake_workers.arrays import F64, Float64
-from prtbake_workers.compress.affine_classify import propose_clusters
+from prtbake_workers.compress.affine_classify import reclassify
 from prtbake_workers.compress.affine_clusters import AffineClusters
 from prtbake_workers.compress.cpca_iterative import CONVERGED
 from prtbake_workers.compress.monotone import ObjectiveTrace
@@ -61,10 +61,7 @@ def adapt(
         for iteration in range(max_iterations):
             trial = best.copy()
             fees = charged * price / _served(trial.weights)
-            proposed = propose_clusters(
-                trial.signal, trial.subspaces, trial.labels, trial.errors, fees
-            )
-            if trial.move(proposed, fees) == 0:
+            if reclassify(trial, fees) == 0:
                 break
             trial.fill_empty_clusters()
             trial.find_components()

@@ -7,7 +7,7 @@ that all at once would end in.
 
 import numpy as np
 
-from prtbake_workers.compress.affine_classify import propose_clusters
+from prtbake_workers.compress.affine_classify import reclassify
 from prtbake_workers.compress.affine_clusters import AffineClusters
 from prtbake_workers.compress.monotone import ObjectiveTrace
 from prtbake_workers.compress.progress import Progress
@@ -74,10 +74,7 @@ def settle(
     for _ in range(max_iterations):
         if trace.values[-1] <= 0.0:
             break
-        proposed = propose_clusters(
-            clusters.signal, clusters.subspaces, clusters.labels, clusters.errors
-        )
-        if clusters.move(proposed) == 0:
+        if reclassify(clusters) == 0:
             break
         clusters.fill_empty_clusters()
         clusters.find_components()

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import B8, F32, F64, I32, I64, Float32, Float64
+from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
 from prtbake_workers.compress.classify import Pays, reclassify
 from prtbake_workers.compress.cluster_factors import (
     ClusterFactors,
@@ -30,7 +30,7 @@ from prtbake_workers.compress.cluster_factors import (
     vertex_step,
 )
 from prtbake_workers.compress.clusters import members_by_cluster, refill_empty_clusters
-from prtbake_workers.compress.coherence import ClusterPlaces, Coherence
+from prtbake_workers.compress.coherence import Coherence, CoherentMoves
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.energy import row_energy_by_chunks
 from prtbake_workers.compress.inputs import (
@@ -243,15 +243,8 @@ class _Fit:
         """Return what lets vertices move where E of [Chen2005]_ eq. (9) falls."""
         if self.coherence is None or self.trace.squared_norm == 0.0:
             return None
-        places = ClusterPlaces(self.coherence, self.labels, self.n_clusters)
-        unit = np.sqrt(self.trace.squared_norm / self.weights.sum())
-        own = np.sqrt(self.errors) / unit + places.own_cost()
-
-        def pays(verts: I64, cluster: int, residuals: F64) -> B8:
-            less: B8 = np.sqrt(residuals) / unit + places.cost(verts, cluster) < own[verts]
-            return less
-
-        return pays
+        unit = float(np.sqrt(self.trace.squared_norm / self.weights.sum()))
+        return CoherentMoves(self.coherence, self.labels, self.n_clusters, self.errors, unit).pays
 
     def _members(self) -> list[I32]:
         return members_by_cluster(self.labels, self.n_clusters)

@@ -20,7 +20,7 @@ from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.cta import compress_cta
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.less_overdraw import less_overdraw_cpca, less_overdraw_cta
-from prtbake_workers.compress.pca import compress_pca
+from prtbake_workers.compress.pca import Principal
 from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.vq import compress_vq
 
@@ -121,6 +121,8 @@ class Fit:
         (tris, 3) corners of the part's triangles; needed with a budget of overdraw.
     overdraw_budget
         Share of the squared error that fewer draws may add; None moves no vertex for them.
+    principal
+        Of PCA, where several sizes of the same rows are tried; None decomposes them anew.
     progress
         Called with the fraction done and a word on the state.
     """
@@ -133,6 +135,7 @@ class Fit:
     coherence: Coherence | None = None
     faces: Int32[I32, "tris 3"] | None = None
     overdraw_budget: float | None = None
+    principal: Principal | None = None
     progress: Progress = no_progress
 
 
@@ -186,13 +189,8 @@ def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
 
 
 def _pca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
-    return compress_pca(
-        _signal(coefficients),
-        sizes.n_components,
-        seed=fit.seed,
-        vertex_weights=fit.vertex_weights,
-        progress=fit.progress,
-    )
+    principal = fit.principal or Principal(_signal(coefficients), fit.vertex_weights)
+    return principal.model(sizes.n_components, seed=fit.seed, progress=fit.progress)
 
 
 def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:

@@ -71,75 +71,111 @@ def compress_pca(
     SettingsError
         For what cannot be used, with the argument as pointer and the vertex in the message.
     """
-    x = checked_signal(signal, "signal", ("verts", "dims"))
-    n_verts, n_dims = x.shape
-    weights = checked_vertex_weights(vertex_weights, n_verts)
-    notes: list[str] = []
-    n_components = fitting_components(n_components, x, notes)
-    with same_bytes_on_any_threads():
-        progress(0.0, "mean and covariance")
-        mean = weighted_mean(x, weights)
-        trace = ObjectiveTrace(float(weights @ row_energy_by_chunks(x)), "PCA")
-        trace.append(float(weights @ squared_distances(x, mean)))
-        basis = _principal_rows(x, mean, np.sqrt(weights), n_components)
-        progress(0.9, "weights")
-        coefficients = np.zeros((n_verts, n_components), np.float32)
-        errors = np.empty(n_verts)
-
-        def project(chunk: slice) -> None:
-            centred = x[chunk] - mean
-            projected = centred @ basis.T
-            coefficients[chunk, : len(basis)] = projected
-            errors[chunk] = row_energy(centred - np.matmul(projected, basis, dtype=np.float32))
-
-        map_in_order(project, row_chunks(x))
-        trace.append(float(weights @ errors))
-    components = np.zeros((1, n_components, n_dims), np.float32)
-    components[0, : len(basis)] = basis
-    progress(1.0, f"error {trace.ratio:.3%}")
-    return CpcaModel(
-        means=mean[None],
-        components=components,
-        weights=coefficients,
-        labels=np.zeros(n_verts, np.int32),
-        ranks=np.array([len(basis)], np.int32),
-        objective=trace.values,
-        initial_energy=trace.squared_norm,
-        squared_error_per_vertex=errors,
-        iterations=1,
-        seed=seed,
-        notes=notes,
-    )
+    return Principal(signal, vertex_weights).model(n_components, seed=seed, progress=progress)
 
 
-def _principal_rows(
-    x: Float32[F32, "verts dims"],
-    mean: Float32[F32, " dims"],
-    root_weights: Float64[F64, " verts"],
-    rank: int,
-) -> Float32[F32, "kept dims"]:
-    """Return the leading right singular vectors of root_weights (x - mean), at its true rank."""
-    n_verts, n_dims = x.shape
+class Principal:
+    """A signal's mean and Gram matrix, from which models of any number of components follow.
 
-    def of_verts(piece: slice) -> F64:
-        return ((x[piece] - mean).astype(np.float64) * root_weights[piece, None]).T
+    Who tries several numbers sums and decomposes the matrix once; it lives as long as this does.
 
-    def of_dims(piece: slice) -> F64:
-        return (x[:, piece] - mean[piece]).astype(np.float64) * root_weights[:, None]
+    Parameters
+    ----------
+    signal, vertex_weights
+        As of `compress_pca`.
 
-    tall = n_verts >= n_dims
-    length, size = (n_verts, n_dims) if tall else (n_dims, n_verts)
-    columns = of_verts if tall else of_dims
-    step = max(1, PIECE_BYTES // (8 * size))
-    pieces = [slice(start, min(start + step, length)) for start in range(0, length, step)]
-    values, vectors = leading_eigenvectors(_gram(columns, pieces, size), rank)
-    kept = int(np.count_nonzero(values > RANK_TOLERANCE * values.max(initial=0.0)))
-    values, basis = values[:kept], np.ascontiguousarray(vectors[:, :kept].T)
-    if not tall:
-        scaled = basis / np.sqrt(values)[:, None]
-        parts = [scaled @ columns(piece) for piece in pieces]
-        basis = orthonormal_rows(np.concatenate(parts, axis=1))
-    return basis.astype(np.float32)
+    Raises
+    ------
+    SettingsError
+        As `compress_pca`.
+    """
+
+    def __init__(
+        self,
+        signal: Float[NDArray[Any], "verts dims"],
+        vertex_weights: NDArray[Any] | None = None,
+    ) -> None:
+        self.signal: F32 = checked_signal(signal, "signal", ("verts", "dims"))
+        self.weights = checked_vertex_weights(vertex_weights, len(self.signal))
+        self._gram: F64 | None = None
+        self._eigen: tuple[F64, F64] | None = None
+        with same_bytes_on_any_threads():
+            self.mean = weighted_mean(self.signal, self.weights)
+            self.squared_norm = float(self.weights @ row_energy_by_chunks(self.signal))
+            self.about_mean = float(self.weights @ squared_distances(self.signal, self.mean))
+
+    def model(
+        self, n_components: int, *, seed: int, progress: Progress = no_progress
+    ) -> CpcaModel:
+        """Return the model of so many components; see `compress_pca`."""
+        x, mean = self.signal, self.mean
+        n_verts, n_dims = x.shape
+        notes: list[str] = []
+        n_components = fitting_components(n_components, x, notes)
+        trace = ObjectiveTrace(self.squared_norm, "PCA")
+        trace.append(self.about_mean)
+        with same_bytes_on_any_threads():
+            progress(0.0, "mean and covariance")
+            basis = self._rows(n_components)
+            progress(0.9, "weights")
+            coefficients = np.zeros((n_verts, n_components), np.float32)
+            errors = np.empty(n_verts)
+
+            def project(chunk: slice) -> None:
+                centred = x[chunk] - mean
+                projected = centred @ basis.T
+                coefficients[chunk, : len(basis)] = projected
+                errors[chunk] = row_energy(centred - np.matmul(projected, basis, dtype=np.float32))
+
+            map_in_order(project, row_chunks(x))
+            trace.append(float(self.weights @ errors))
+        components = np.zeros((1, n_components, n_dims), np.float32)
+        components[0, : len(basis)] = basis
+        progress(1.0, f"error {trace.ratio:.3%}")
+        return CpcaModel(
+            means=mean[None],
+            components=components,
+            weights=coefficients,
+            labels=np.zeros(n_verts, np.int32),
+            ranks=np.array([len(basis)], np.int32),
+            objective=trace.values,
+            initial_energy=trace.squared_norm,
+            squared_error_per_vertex=errors,
+            iterations=1,
+            seed=seed,
+            notes=notes,
+        )
+
+    def _rows(self, rank: int) -> Float32[F32, "kept dims"]:
+        """Return the leading right singular vectors of root_weights (x - mean), at its true rank."""
+        n_verts, n_dims = self.signal.shape
+        tall = n_verts >= n_dims
+        length, size = (n_verts, n_dims) if tall else (n_dims, n_verts)
+        columns = self._of_verts if tall else self._of_dims
+        step = max(1, PIECE_BYTES // (8 * size))
+        pieces = [slice(start, min(start + step, length)) for start in range(0, length, step)]
+        if self._gram is None:
+            self._gram = _gram(columns, pieces, size)
+        if self._eigen is None or len(self._eigen[0]) < min(rank, size):
+            # who asks again may ask for more yet
+            more = rank if self._eigen is None else 2 * rank
+            self._eigen = leading_eigenvectors(self._gram, more)
+        values, vectors = self._eigen[0][:rank], self._eigen[1][:, :rank]
+        kept = int(np.count_nonzero(values > RANK_TOLERANCE * values.max(initial=0.0)))
+        values, basis = values[:kept], np.ascontiguousarray(vectors[:, :kept].T)
+        if not tall:
+            scaled = basis / np.sqrt(values)[:, None]
+            parts = [scaled @ columns(piece) for piece in pieces]
+            basis = orthonormal_rows(np.concatenate(parts, axis=1))
+        return basis.astype(np.float32)
+
+    def _of_verts(self, piece: slice) -> F64:
+        centred = (self.signal[piece] - self.mean).astype(np.float64)
+        return (centred * np.sqrt(self.weights[piece])[:, None]).T
+
+    def _of_dims(self, piece: slice) -> F64:
+        centred = (self.signal[:, piece] - self.mean[piece]).astype(np.float64)
+        return centred * np.sqrt(self.weights)[:, None]
 
 
 def _gram(

@@ -17,6 +17,7 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, Float32
 from prtbake_workers.compress.inputs import checked_vertex_weights
 from prtbake_workers.compress.methods import Compressed, Fit, Sizes, compress, factors_of
+from prtbake_workers.compress.pca import Principal
 from prtbake_workers.compress.trim import trimmed
 from prtbake_workers.compress.view_basis import view_energies
 
@@ -113,6 +114,9 @@ def compress_to_error(
     trial = fit
     if method != "vq":  # a trial of vector quantisation is as quick with all of its iterations
         trial = replace(fit, max_iterations=min(fit.max_iterations, TRIAL_ITERATIONS))
+    if method == "pca":
+        signal = coefficients.reshape(len(coefficients), -1)
+        trial = fit = replace(fit, principal=Principal(signal, fit.vertex_weights))
     ratios: list[float] = []
     held: tuple[Scaled, Compressed] | None = None
     for scaled in _search(method, start, coefficients.shape, target, ratios):
@@ -133,7 +137,8 @@ def compress_to_error(
     scaled, met = held
     if method == "vq":
         return met
-    full = compress(method, coefficients, scaled, fit)
+    # PCA has no iterations to make more of
+    full = met if method == "pca" else compress(method, coefficients, scaled, fit)
     # more iterations win by their own measure, which need not be that of what is asked for
     if full.model.squared_error_ratio <= target:
         met = full
