@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -156,6 +156,47 @@ def picture(values: np.ndarray, height: int, exposure: float) -> np.ndarray:
     return to_srgb8(image, exposure)
 
 
+Errors = dict[str, dict[str, tuple[float, float]]]
+"""Light -> method -> squared-error ratios over the sphere and in transfer's basis."""
+
+
+def measure(
+    maps: Mapping[str, Environment], compared: Sequence[Method], height: int | None = None
+) -> tuple[Errors, dict[str, float], list[np.ndarray]]:
+    """Fit every light by every method: errors, CPU seconds a light by method, strips of pictures.
+
+    Without a ``height`` of the pictures none are drawn.
+    """
+    found: Errors = {}
+    spent = dict.fromkeys((method.name for method in compared), 0.0)
+    strips = []
+    for name, environment in maps.items():
+        cube = cube_of(environment)
+        texels, errors = texels_of(cube, FITTED_PARTS), judge(cube)
+        fitted = {}
+        for method in compared:
+            start = time.process_time()
+            fitted[method.name] = method.fit(texels)
+            spent[method.name] += time.process_time() - start
+        found[name] = {method: errors(light) for method, light in fitted.items()}
+        if height is not None:
+            shown = [fitted[method.name] for method in compared if method.pictured]
+            strips.append(strip(cube, shown, height))
+    return found, {name: seconds / len(maps) for name, seconds in spent.items()}, strips
+
+
+def strip(cube: np.ndarray, lights: Sequence[Light], height: int) -> np.ndarray:
+    """Show a cube map and lights beside each other, at one exposure."""
+    directions = lat_long_directions(height, 2 * height)
+    shown = [cube[cube_texel_of(directions, RESOLUTION)]]
+    shown += [light.radiance(directions) for light in lights]
+    exposure = auto_exposure(
+        shown[0].astype(np.float32).reshape(height, -1, 3),
+        np.ones((height, 2 * height), np.float32),
+    )
+    return side_by_side([picture(one, height, exposure) for one in shown])
+
+
 def main(arguments: list[str], sizes: Sizes | None = None) -> int:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Compare lights of as many numbers.")
@@ -164,34 +205,18 @@ def main(arguments: list[str], sizes: Sizes | None = None) -> int:
     options = parser.parse_args(arguments)
     options.to.mkdir(parents=True, exist_ok=True)
     compared = methods(sizes or Sizes())
-    directions = lat_long_directions(options.height, 2 * options.height)
-    maps = environments()
-    rows = {"over the sphere": [], "as transfer sees it": []}
-    seconds = dict.fromkeys((method.name for method in compared), 0.0)
-    strips = []
-    for name, environment in maps.items():
-        cube = cube_of(environment)
-        texels, errors = texels_of(cube, FITTED_PARTS), judge(cube)
-        found = {}
-        shown = [cube[cube_texel_of(directions, RESOLUTION)]]
-        for method in compared:
-            start = time.process_time()
-            light = method.fit(texels)
-            seconds[method.name] += time.process_time() - start
-            found[method.name] = errors(light)
-            if method.pictured:
-                shown.append(light.radiance(directions))
-        for place, own in enumerate(rows.values()):
-            own.append((name, *(f"{100 * found[m.name][place]:.2f}" for m in compared)))
-        exposure = auto_exposure(
-            shown[0].astype(np.float32).reshape(options.height, -1, 3),
-            np.ones((options.height, 2 * options.height), np.float32),
-        )
-        strips.append(side_by_side([picture(one, options.height, exposure) for one in shown]))
+    found, seconds, strips = measure(environments(), compared, options.height)
     gap = np.full((GAP, strips[0].shape[1], 3), 255, np.uint8)
     stacked = [piece for strip in strips for piece in (gap, strip)][1:]
     (options.to / "figure4.png").write_bytes(png_bytes(np.concatenate(stacked)))
-    text = page(compared, rows, seconds, len(maps))
+    rows = {
+        heading: [
+            (name, *(f"{100 * own[method.name][place]:.2f}" for method in compared))
+            for name, own in found.items()
+        ]
+        for place, heading in enumerate(("over the sphere", "as transfer sees it"))
+    }
+    text = page(compared, rows, seconds)
     (options.to / "figure4.md").write_text(text)
     sys.stdout.write(text)
     return 0
@@ -201,12 +226,11 @@ def page(
     compared: list[Method],
     rows: dict[str, list[tuple[str, ...]]],
     seconds: dict[str, float],
-    n_maps: int,
 ) -> str:
     """Write the page."""
     names = [method.name for method in compared]
     counted = ("numbers", *(str(method.numbers) for method in compared))
-    spent = ("CPU seconds a light", *(f"{seconds[name] / n_maps:.1f}" for name in names))
+    spent = ("CPU seconds a light", *(f"{seconds[name]:.1f}" for name in names))
     lines = [
         "# Lights of as many numbers",
         "Figure 4 of [Tsai2006], measured by `make figure4`: environments merged into a cube map "

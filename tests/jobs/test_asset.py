@@ -116,7 +116,18 @@ def test_the_report_says_what_a_step_more_would_cost(glossy_asset, store):
     assert more["seconds"] > own["seconds"]
     assert own["measured_bytes"] == results["quantise"][0]["bytes"]
     assert own["measured_seconds"] > 0
-    assert "A step more or less" in store.read_bytes(written["html"]).decode()
+    page = store.read_bytes(written["html"]).decode()
+    assert "A step more or less" in page
+    found = json.loads(store.read_bytes(written["json"]))["frontier"]
+    assert found["asset"]["error"] == finished(glossy_asset).result["budget"]["total"]
+    (step,) = found["steps"]
+    assert step["quality"] == "low"
+    assert 0 < step["error"] < found["asset"]["error"]
+    # terms are a line that the step changes, vertices one that no quality does
+    lines = found["asset"]["lines"]
+    assert step["lines"]["K terms"] < lines["K terms"]
+    assert step["lines"]["vertex interpolation"] == lines["vertex interpolation"]
+    assert "Error beside them" in page
 
 
 def test_every_stage_says_the_bytes_that_it_left(glossy_asset, store):
@@ -242,7 +253,8 @@ def test_the_same_request_gives_the_same_bytes(glossy_asset, tmp_path):
 def test_the_page_holds_its_pictures_and_loads_nothing(glossy_asset, store):
     files = {file.name: file.digest for file in finished(glossy_asset).artefacts}
     page = store.read_bytes(files["report.html"]).decode()
-    assert page.count("data:image/png;base64,") == 3
+    # preview, two of the validation, and the plot of the steps beside the asset
+    assert page.count("data:image/png;base64,") == 4
     assert "http://" not in page
     assert "https://" not in page
 

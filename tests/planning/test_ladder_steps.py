@@ -3,8 +3,15 @@ import pytest
 
 from prtbake_storage.contract.settings import AssetSettings, BakeSettings
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.planning.ladder_steps import LadderStep, ladder_steps, neighbours, terms_at
+from prtbake_workers.planning.ladder_steps import (
+    LadderStep,
+    StepCost,
+    ladder_steps,
+    neighbours,
+    terms_at,
+)
 from prtbake_workers.planning.presets import LADDER, resolve_stages
+from prtbake_workers.planning.step_errors import Resolution, line_factors
 
 SPECTRUM = 0.7 ** np.arange(40.0)
 
@@ -51,13 +58,17 @@ def test_terms_that_no_tolerance_chooses():
 
 
 def test_what_cannot_be_run_or_is_open_is_left_out():
+    own = Resolution(0.01, 6144, 642, 64.0, 162, 10_000)
+    coarse = Resolution(0.02, 1536, 162, 32.0, 64, 4_000)
+
     def cost_of(terms, settings, quality):
         if quality == "high":
             raise SettingsError("not that")
-        return {"bake": 2.0, "render": 5.0, "validate": 7.0}, 100 * terms[0]
+        return StepCost({"bake": 2.0, "render": 5.0, "validate": 7.0}, 100 * terms[0], coarse)
 
     steps = neighbours("medium", AssetSettings())
-    found = ladder_steps(steps, [3], [SPECTRUM], cost_of, view_dependent=True)
-    assert found == (LadderStep("low", 2.0, 100 * count(0.02), (count(0.02),)),)
+    found = ladder_steps(steps, [3], [SPECTRUM], cost_of, own=own, view_dependent=True)
+    factors = line_factors(own, coarse)
+    assert found == (LadderStep("low", 2.0, 100 * count(0.02), (count(0.02),), factors),)
     steps = neighbours("medium", AssetSettings(bake={"n_centres": "auto"}))
-    assert ladder_steps(steps, [3], [SPECTRUM], cost_of, view_dependent=True) == ()
+    assert ladder_steps(steps, [3], [SPECTRUM], cost_of, own=own, view_dependent=True) == ()

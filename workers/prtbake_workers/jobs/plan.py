@@ -36,13 +36,15 @@ from prtbake_workers.planning.cluster_limit import cluster_note
 from prtbake_workers.planning.effects import decide_effects
 from prtbake_workers.planning.file_bytes import known_bytes
 from prtbake_workers.planning.grain import Grain, grain_notes
-from prtbake_workers.planning.ladder_steps import ladder_steps, neighbours
+from prtbake_workers.planning.ladder_steps import StepCost, ladder_steps, neighbours
 from prtbake_workers.planning.light_resolution import choose_light_resolution
 from prtbake_workers.planning.plan import check_bandwidth, make_plan, occluders_of
 from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.resolution import resolution_of
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_memory import Lobe
+from prtbake_workers.planning.step_errors import energy_left
 from prtbake_workers.planning.subsurface import decide_subsurface
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.surface import OpaqueSurface
@@ -234,22 +236,25 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         ),
     )
 
-    def cost_of(
-        terms: list[int], settings: StageSettings, quality: Quality
-    ) -> tuple[dict[str, float], int]:
+    own = lay_out(part_terms=part_terms, settings=settings, quality=args["quality"])
+
+    def cost_of(terms: list[int], settings: StageSettings, quality: Quality) -> StepCost:
         other = lay_out(part_terms=terms, settings=settings, quality=quality)
-        return other.seconds, other.artefact_bytes["asset.h5"]
+        return StepCost(
+            other.seconds,
+            other.artefact_bytes["asset.h5"],
+            resolution_of(other, settings, energy_left(spectra, terms)),
+        )
 
     steps = ladder_steps(
         {quality: StageSettings.from_dict(step) for quality, step in args["steps"].items()},
         part_terms,
         spectra,
         cost_of,
+        own=resolution_of(own, settings, energy_left(spectra, part_terms)),
         view_dependent=view_dependent,
     )
-    plan = replace(
-        lay_out(part_terms=part_terms, settings=settings, quality=args["quality"]), ladder=steps
-    )
+    plan = replace(own, ladder=steps)
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan
 

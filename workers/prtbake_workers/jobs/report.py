@@ -11,12 +11,15 @@ from prtbake_storage.queue.stages import ArtefactFile, Results, Stage, Task
 from prtbake_workers.jobs import bounce
 from prtbake_workers.planning.ladder_steps import making_seconds
 from prtbake_workers.planning.rates import Rates
+from prtbake_workers.report import steps
 from prtbake_workers.report.account import (
     StageAccount,
     make_report,
     part_accounts,
+    pooled_budget,
     projection_errors,
 )
+from prtbake_workers.report.frontier_picture import frontier_png
 from prtbake_workers.report.html import report_page
 
 _MODULE = "prtbake_workers.jobs.report"
@@ -94,6 +97,7 @@ def _ladder(results: Results, plan: dict[str, Any] | None) -> list[dict[str, Any
         "seconds": making_seconds(Rates().all_seconds(plan["work"])),
         "asset_bytes": plan["artefact_bytes"]["asset.h5"],
         "terms": [part["n_terms"] for part in plan["parts"]],
+        "error_factors": {},
         "measured_seconds": making_seconds(measured),
         "measured_bytes": results["quantise"][0]["bytes"],
     }
@@ -164,6 +168,8 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     notes += args["asset_notes"]
     if args["renderer"] is not None and args["renderer"]["backend"] != "egl":
         notes.append(f"previews by the CPU renderer: {args['renderer']['reason']}")
+    budget = pooled_budget(args["views"]) if args["views"] else None
+    own_frontier = steps.frontier(args["ladder"], budget)
     report = make_report(
         title=args["title"],
         stages=[
@@ -188,6 +194,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         bounces=args["bounces"],
         settings=args["settings"],
         ladder=args["ladder"],
+        frontier=own_frontier,
         notes=notes,
     )
     pictures = {
@@ -200,7 +207,8 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             pictures[f"{name.removesuffix('.png')}: reference, asset, difference"] = (
                 context.store.read_bytes(digest)
             )
-    page = report_page(report, pictures)
+    plot = frontier_png(*steps.drawn(own_frontier)) if own_frontier else None
+    page = report_page(report, pictures, plot)
     return {
         "report": report,
         "json": context.store.put_bytes(json.dumps(report, indent=1).encode()),

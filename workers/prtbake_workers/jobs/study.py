@@ -80,6 +80,7 @@ def account(
     ``seconds`` are those of all stages that make its file, with what it has in common with other
     points, ``shared_seconds``, in full; ``check_seconds`` those of pictures and validation.
     ``error`` is None where nothing can be said of it, and ``noise`` None where it has none.
+    ``lines`` are those of the error budget of an asset, by name; none of other kinds.
     """
     own = share.results
     plan = own["plan"][0].get("plan") if "plan" in own else None
@@ -98,13 +99,14 @@ def account(
         if found := report.stage_account(name, own, plan)["errors"]:
             errors[name] = found
     making = [stage for name, stage in stages.items() if name not in CHECKS]
-    error, noise = _error(kind, own)
+    error, noise, lines = _error(kind, own)
     stage, file = FILES[kind]
     return {
         "point": index,
         "values": values,
         "error": error,
         "noise": noise,
+        "lines": lines,
         "seconds": sum(stage["seconds"] for stage in making),
         "shared_seconds": sum(stage["shared_seconds"] for stage in making),
         "check_seconds": sum(stages[name]["seconds"] for name in CHECKS if name in stages),
@@ -116,21 +118,22 @@ def account(
     }
 
 
-def _error(kind: str, own: Results) -> tuple[float | None, float | None]:
-    """Give the error that the frontier is of, and its noise: see `study_report.ERROR_IS`."""
+def _error(kind: str, own: Results) -> tuple[float | None, float | None, dict[str, float]]:
+    """Give the error that the frontier is of, its noise, its lines: see `study_report.ERROR_IS`."""
     match kind:
         case "compress":
-            return own["quantise"][0]["delivered"]["error"], None
+            return own["quantise"][0]["delivered"]["error"], None, {}
         case "fit_light":
-            return own["fit_light"][0]["errors"]["light"], None
+            return own["fit_light"][0]["errors"]["light"], None, {}
         case "bake":
             signal = sum(tile["held_out_signal"] for tile in own["bake"])
             left = sum(tile["held_out_residual"] for tile in own["bake"])
-            return (left / signal if signal else 0.0), None
+            return (left / signal if signal else 0.0), None, {}
     budget = pooled_budget([view for camera in own["validate"] for view in camera["views"]])
     if budget["black_reference"]:
-        return None, None
-    return budget["total"], budget["total_noise"]
+        return None, None, {}
+    lines = {line["name"]: line["error"] for line in budget["lines"]}
+    return budget["total"], budget["total_noise"], lines
 
 
 def stages(

@@ -1,7 +1,7 @@
 """What one step more or less on the ladder of qualities would cost the same scene."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
@@ -10,6 +10,7 @@ from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Quali
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.planning.presets import StageSettings, resolve_stages
+from prtbake_workers.planning.step_errors import Resolution, line_factors
 
 CHECKS = ("render", "validate")
 """Stages that show an asset and make nothing of it: their seconds are not its price."""
@@ -24,6 +25,17 @@ class LadderStep:
     asset_bytes: int
     terms: tuple[int, ...]
     """Of each part."""
+    error_factors: dict[str, float] = field(default_factory=dict)
+    """Of the lines of an error budget, by what decides them: see `line_factors`."""
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """What planning says of a scene at some settings: seconds by stage, bytes of ``asset.h5``."""
+
+    seconds: Mapping[str, float]
+    asset_bytes: int
+    resolution: Resolution
 
 
 def neighbours(quality: Quality, overrides: AssetSettings) -> dict[Quality, StageSettings]:
@@ -59,8 +71,9 @@ def ladder_steps(
     steps: Mapping[Quality, StageSettings],
     own_terms: Sequence[int],
     spectra: Sequence[Float64[F64, " _"]],
-    cost_of: Callable[[list[int], StageSettings, Quality], tuple[Mapping[str, float], int]],
+    cost_of: Callable[[list[int], StageSettings, Quality], StepCost],
     *,
+    own: Resolution,
     view_dependent: bool,
 ) -> tuple[LadderStep, ...]:
     """Predict the same scene at other qualities.
@@ -72,22 +85,32 @@ def ladder_steps(
     own_terms, spectra
         Of each part: its terms as planned, and the singular values of its BRDF.
     cost_of
-        Seconds by stage and bytes of the asset, from terms, settings and quality; where it raises a
-        `SettingsError` that step cannot be run, and is left out.
+        From terms, settings and quality; where it raises a `SettingsError` that step cannot be run,
+        and is left out.
+    own
+        As planned.
     """
     found = []
     for quality, settings in steps.items():
         if settings.bake.open_numbers:
             continue
         terms = [
-            terms_at(own, values, settings.bake, view_dependent=view_dependent)
-            for own, values in zip(own_terms, spectra, strict=True)
+            terms_at(planned, values, settings.bake, view_dependent=view_dependent)
+            for planned, values in zip(own_terms, spectra, strict=True)
         ]
         try:
-            seconds, asset_bytes = cost_of(terms, settings, quality)
+            cost = cost_of(terms, settings, quality)
         except SettingsError:
             continue
-        found.append(LadderStep(quality, making_seconds(seconds), asset_bytes, tuple(terms)))
+        found.append(
+            LadderStep(
+                quality,
+                making_seconds(cost.seconds),
+                cost.asset_bytes,
+                tuple(terms),
+                line_factors(own, cost.resolution),
+            )
+        )
     return tuple(found)
 
 

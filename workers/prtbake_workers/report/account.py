@@ -141,6 +141,7 @@ def make_report(
     bounces: Mapping[str, Any] | None = None,
     transfer: Mapping[str, Any] | None = None,
     ladder: Sequence[Mapping[str, Any]] = (),
+    frontier: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Put the account together; every key is there whatever the job did."""
@@ -189,5 +190,6 @@ def make_report(
         "numerics": dict(numerics or {}),
         "settings": dict(settings or {}),
         "ladder": [dict(step) for step in ladder],
+        "frontier": dict(frontier) if frontier else None,
         "notes": list(notes),
     }

@@ -30,8 +30,8 @@ def frontier_png(
     Parameters
     ----------
     points
-        Each with ``point`` (its number), ``error``, ``seconds`` and ``bytes``; those whose error is
-        None are left out.
+        Each with ``point`` (its number), ``error``, ``seconds`` and ``bytes``, and perhaps a
+        ``label`` to stand beside it; those whose error is None are left out.
     frontier
         By cost, the numbers of its points by rising cost.
     """
@@ -87,3 +87,9 @@ def _panel(
     for point in sorted(points, key=lambda point: point["point"] in best):
         on = point["point"] in best
         draw.circle(spot(point), FINER * (RADIUS + on), FRONTIER if on else POINT)
+        if name := point.get("label"):
+            across, down = x.place(point[cost]), y.place(point["error"])
+            # within the panel: leftwards from points in its right half
+            turned = across > middle
+            place = at(across + (-12 if turned else 12), down)
+            draw.text(place, name, INK, font, anchor="rm" if turned else "lm")

@@ -42,12 +42,20 @@ def seconds(value: int | float) -> str:
 ENVIRONMENT.filters |= {"percent": percent, "size": size, "seconds": seconds, "json": json.dumps}
 
 
-def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """Render a report (see :mod:`prtbake_workers.report.account`) and its PNG pictures."""
-    embedded = {
-        name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
-        for name, data in pictures.items()
-    }
+def report_page(
+    report: Mapping[str, Any], pictures: Mapping[str, bytes], plot: bytes | None = None
+) -> str:
+    """Render a report (see :mod:`prtbake_workers.report.account`) and its PNG pictures.
+
+    ``plot`` shows the report's frontier.
+    """
     return ENVIRONMENT.get_template("report.html").render(
-        report=report, pictures=embedded, meanings=MEANINGS
+        report=report,
+        pictures={name: _embedded(data) for name, data in pictures.items()},
+        plot=None if plot is None else _embedded(plot),
+        meanings=MEANINGS,
     )
+
+
+def _embedded(picture: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(picture).decode("ascii")
