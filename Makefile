@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan chen mitsuba cost-model tsai serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan chen mitsuba cost-model tsai accuracy serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -93,6 +93,10 @@ mitsuba: setup ## Hold baked scenes against Mitsuba 3, into docs/measured (PRTBA
 tsai: setup ## Redo Tsai and Shih's tables 1 and 2, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/tsai.py
+
+accuracy: setup gl ## What accuracy costs: frontiers, the ladder and lights, into docs/measured (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/accuracy.py
 
 cost-model: setup gl ## Hold predicted seconds, bytes and memory against 60 random jobs, into docs/measured
 	$(BIN)/python tests/measured/cost_model.py --anew

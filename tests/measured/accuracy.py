@@ -40,7 +40,7 @@ LEFT_OUT = ("base", "title")
 def measured(client: Client, scene: Scene, data: Path, *, quick: bool) -> Kept:
     """Run a scene's study, and give what is kept of it."""
     machine = machine_line()
-    job = client.wait(client.submit(scene.request(client, data, quick=quick)).id)
+    job = client.wait(client.submit(scene.registered(client, data, quick=quick)).id)
     with tempfile.TemporaryDirectory(prefix="prtbake-study-") as folder:
         study = json.loads(client.download(job.id, "study.json", Path(folder)).read_text())
     points = [

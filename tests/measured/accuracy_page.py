@@ -1,15 +1,18 @@
 """The page on what accuracy costs, from what is kept of its studies."""
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
-from measured.accuracy_scenes import CENTRES, FIGURE_4, LADDER_NAME, QUALITY, SCENES
+from measured.accuracy_scenes import CENTRES, FIGURE_4, LADDER, LADDER_NAME, QUALITY, SCENES
 from measured.accuracy_table import (
     SCATTERED,
     WAVELETS,
+    Foretold,
     Kept,
     above,
     equals,
+    foretold,
     rungs,
 )
 from measured.effects_table import Statement
@@ -49,6 +52,8 @@ def page(kept: Mapping[str, Kept], found: Sequence[Statement]) -> str:
     sections += [frontier(kept[scene.name]) for scene in SCENES if scene.name in kept]
     if LADDER_NAME in kept:
         sections.append(ladder(kept[LADDER_NAME]))
+    if told := foretold(kept):
+        sections.append(steps(told))
     if FIGURE_4 in kept:
         sections.append(lights(kept[FIGURE_4]))
     return "\n\n".join(sections) + "\n"
@@ -134,6 +139,43 @@ def ladder(study: Kept) -> str:
             _measured(study),
         )
     )  # fmt: skip
+
+
+def steps(told: Sequence[Foretold]) -> str:
+    """Hold what reports say of the qualities beside an asset's own against what was measured."""
+    rows = []
+    for name in dict.fromkeys(one.scene for one in told):
+        for text, sign in (("more", 1), ("less", -1)):
+            own = [one for one in told if one.scene == name and _direction(one) == sign]
+            if own:
+                rows.append([name, text, str(len(own)), *_quantiles(own)])
+    rows.append(["all", "", str(len(told)), *_quantiles(told)])
+    return "\n\n".join(
+        (
+            "## A step more or less, as predicted",
+            "What [a report predicts](../studies.md#a-step-more-or-less) of the error at the "
+            "qualities beside its own, made for every point above that has such a neighbour with all "
+            "else equal, over what that neighbour measured; and, to compare, the point's own error "
+            "over the neighbour's, which is what one would say who knew of no change.",
+            table(
+                ["scene", "a step", "pairs", "predicted over measured: median", "least", "most",
+                 "unchanged over measured: median", "least", "most"],
+                rows,
+            ),
+        )
+    )  # fmt: skip
+
+
+def _direction(one: Foretold) -> int:
+    order = list(LADDER.axes[QUALITY])
+    return order.index(one.to) - order.index(one.start)
+
+
+def _quantiles(told: Sequence[Foretold]) -> list[str]:
+    found = []
+    for factors in ([one.factor for one in told], [one.before / one.measured for one in told]):
+        found += [f"{value:.2f}" for value in (median(factors), min(factors), max(factors))]
+    return found
 
 
 def lights(figure: Kept) -> str:

@@ -43,21 +43,27 @@ class Scene:
     texture: str = ""
     registration: dict[str, Any] = field(default_factory=dict)
 
-    def request(self, client: Client, data: Path, *, quick: bool) -> dict[str, Any]:
+    def registered(self, client: Client, data: Path, *, quick: bool) -> dict[str, Any]:
         """Register what the scene is of, and give the study."""
-        base: dict[str, Any] = {
-            "kind": "asset",
-            "mesh": self._mesh(client, data),
-            "environment": self._light(client, data),
-            "brdf": self.brdf,
-            "receiver": self.receiver,
-            "settings": {"validation": QUICK_VALIDATION if quick else VALIDATION},
-        }
-        if self.texture:
-            base["albedo_texture"] = client.upload(data / self.texture).digest
+        texture = client.upload(data / self.texture).digest if self.texture else None
+        return self.study(self._mesh(client, data), self._light(client, data), texture, quick=quick)
+
+    def study(
+        self, mesh: str, environment: str, texture: str | None, *, quick: bool
+    ) -> dict[str, Any]:
+        """Give the study of what is registered under these names."""
         axes = dict(self.axes)
         if quick:
             axes = {path: values[:1] for path, values in axes.items()} | QUICK_AXES
+        base = {
+            "kind": "asset",
+            "mesh": mesh,
+            "environment": environment,
+            "brdf": self.brdf,
+            "receiver": self.receiver,
+            "albedo_texture": texture,
+            "settings": {"validation": QUICK_VALIDATION if quick else VALIDATION},
+        }
         return {"kind": "study", "label": self.title, "base": base, "axes": axes}
 
     def _mesh(self, client: Client, data: Path) -> str:

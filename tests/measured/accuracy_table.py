@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from io import StringIO
 from itertools import pairwise
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from measured.accuracy_scenes import FIGURE_4, LADDER, LADDER_NAME, QUALITY, SCENES
 from measured.effects_table import Statement
 from measured.pages import percent
+from prtbake_workers.planning.step_errors import Resolution, line_factors, scaled_total
+from prtbake_workers.report.steps import DECIDED_BY
 
 Kept = dict[str, Any]
 """A study's points with what was kept beside them; or the lights of figure 4."""
@@ -117,6 +120,50 @@ def rungs(study: Kept) -> list[dict[str, Any]]:
     """Give the ladder's points from the lowest quality to the highest."""
     order = list(LADDER.axes[QUALITY])
     return sorted(study["points"], key=lambda point: order.index(point["values"][QUALITY]))
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """The error of a point a step beside another, all else equal: as predicted, as measured."""
+
+    scene: str
+    start: str
+    to: str
+    before: float
+    predicted: float
+    measured: float
+
+    @property
+    def factor(self) -> float:
+        """Predicted over measured."""
+        return self.predicted / self.measured
+
+
+def foretold(kept: Mapping[str, Kept]) -> list[Foretold]:
+    """Predict each point from those a quality beside it, as a report does."""
+    found = []
+    order = list(LADDER.axes[QUALITY])
+    for name, study in studies(kept).items():
+        by_values = {
+            json.dumps(point["values"], sort_keys=True): point for point in study["points"]
+        }
+        for point in study["points"]:
+            at = order.index(point["values"][QUALITY])
+            for other in order[max(0, at - 1) : at + 2]:
+                values = point["values"] | {QUALITY: other}
+                beside = by_values.get(json.dumps(values, sort_keys=True))
+                if beside is not None and beside is not point:
+                    found.append(
+                        Foretold(name, order[at], other, point["error"], _foretell(point, beside),
+                                 beside["error"])
+                    )  # fmt: skip
+    return found
+
+
+def _foretell(point: Mapping[str, Any], beside: Mapping[str, Any]) -> float:
+    factors = line_factors(Resolution(**point["resolution"]), Resolution(**beside["resolution"]))
+    lines = {line: factors[number] for line, number in DECIDED_BY.items()}
+    return scaled_total(point["error"], point["lines"], lines)[0]
 
 
 def _of_ladder(study: Kept | None) -> list[Statement]:

@@ -237,6 +237,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     )
 
     own = lay_out(part_terms=part_terms, settings=settings, quality=args["quality"])
+    resolution = resolution_of(own, settings, energy_left(spectra, part_terms))
 
     def cost_of(terms: list[int], settings: StageSettings, quality: Quality) -> StepCost:
         other = lay_out(part_terms=terms, settings=settings, quality=quality)
@@ -251,10 +252,10 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         part_terms,
         spectra,
         cost_of,
-        own=resolution_of(own, settings, energy_left(spectra, part_terms)),
+        own=resolution,
         view_dependent=view_dependent,
     )
-    plan = replace(own, ladder=steps)
+    plan = replace(own, ladder=steps, resolution=resolution)
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan
 

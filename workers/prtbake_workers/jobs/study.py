@@ -80,7 +80,8 @@ def account(
     ``seconds`` are those of all stages that make its file, with what it has in common with other
     points, ``shared_seconds``, in full; ``check_seconds`` those of pictures and validation.
     ``error`` is None where nothing can be said of it, and ``noise`` None where it has none.
-    ``lines`` are those of the error budget of an asset, by name; none of other kinds.
+    ``lines`` are those of the error budget of an asset, by name, and ``resolution`` the numbers
+    that decide them (see `Resolution`); none of other kinds.
     """
     own = share.results
     plan = own["plan"][0].get("plan") if "plan" in own else None
@@ -107,6 +108,7 @@ def account(
         "error": error,
         "noise": noise,
         "lines": lines,
+        "resolution": plan["resolution"] if plan is not None and lines else {},
         "seconds": sum(stage["seconds"] for stage in making),
         "shared_seconds": sum(stage["shared_seconds"] for stage in making),
         "check_seconds": sum(stages[name]["seconds"] for name in CHECKS if name in stages),

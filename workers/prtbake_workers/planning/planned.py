@@ -17,6 +17,7 @@ from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.stage_memory import (
     Lobe,
 )
+from prtbake_workers.planning.step_errors import Resolution
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,8 @@ class Plan:
     notes: tuple[str, ...]
     ladder: tuple[LadderStep, ...] = ()
     """Of an asset, the qualities beside its own."""
+    resolution: Resolution | None = None
+    """What decides the lines of its error budget."""
 
     @property
     def peak_memory_bytes(self) -> int:
