@@ -1,5 +1,6 @@
 """Every method by one interface: the factors that it names are the model."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from prtbake_storage.decode.asset import FACTORS, Part
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.decode.relight import cluster_matrices, vertex_radiance
+from prtbake_storage.hdf5.bundle import write_bundle
 from prtbake_workers.compress.methods import METHODS, Fit, Model, compress
 
 
@@ -103,3 +105,33 @@ def test_methods_rank_as_published(glossy):
     pca = compress("pca", glossy, Sizes(n_components=10), fit).model
     assert vq.nbytes == pytest.approx(cpca.nbytes, rel=0.02)
     assert 2.0 * cpca.squared_error_ratio < min(vq.squared_error_ratio, pca.squared_error_ratio)
+
+
+@pytest.mark.parametrize("kind", ["separable", "coloured"])
+def test_tensors_of_own_ranks_decode_and_fill_no_more_of_a_file(kind, glossy, coloured, tmp_path):
+    rows, n_channels = coefficients_of(kind, glossy, coloured), KINDS[kind]
+    seen = []
+    fit = Fit(
+        seed=1, max_iterations=3, n_channels=n_channels, classification="adaptive",
+        progress=lambda done, _: seen.append(done),
+    )  # fmt: skip
+    own = compress("cta", rows, Sizes(), fit)
+    even = compress("cta", rows, Sizes(), replace(fit, classification="static"))
+    assert sorted(seen[: seen.index(1.0) + 1]) == seen[: seen.index(1.0) + 1]
+    assert own.model.squared_error_ratio < even.model.squared_error_ratio
+    assert own.model.nbytes <= even.model.nbytes
+    found = reconstruct(part_of("cta", own, len(rows), n_channels), slice(None))
+    np.testing.assert_array_equal(found, own.model.reconstruct())
+    # what only pads the arrays is zeros, which a file packs
+    padded = sum(own.factors[name].nbytes for name in ("light_bases", "dual_bases", "weights"))
+    assert padded > 1.1 * own.model.nbytes
+    sizes = []
+    for one in (own, even):
+        levels = {
+            name: np.rint(array * (32767.0 / np.abs(array).max())).astype(np.int16)
+            for name, array in one.factors.items()
+            if array.dtype == np.float32
+        }
+        path = write_bundle(tmp_path / f"{len(sizes)}.h5", levels, {})
+        sizes.append(path.stat().st_size)
+    assert sizes[0] < 1.03 * sizes[1]

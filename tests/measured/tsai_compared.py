@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from measured.tsai_pages import CPCA, CPCA_LARGER, LEAST_BYTES_GAIN, WAVELETS
-from measured.tsai_runs import NUMBER_BYTES, Sampled, cpca_bytes
+from measured.tsai_pages import CPCA, CPCA_EVEN, CPCA_LARGER, LEAST_BYTES_GAIN, WAVELETS
+from measured.tsai_runs import COLUMN_NUMBERS, NUMBER_BYTES, Sampled, cpca_bytes
 from prtbake_workers.compress.baselines.segmented_cpca import (
     block_segments,
     compress_all_frequency_cpca,
-    spend_components,
+    even_components,
+    spend_numbers,
 )
 from prtbake_workers.compress.baselines.segmented_cpca_model import SegmentedCpcaModel
 from prtbake_workers.compress.baselines.wavelet_transfer import compress_wavelets
@@ -23,6 +24,8 @@ I64 = NDArray[np.int64]
 N_CLUSTERS = 24
 MOST_COMPONENTS = 32
 N_DIMS = 384
+DARK_DIMS = 48
+"""More than one cluster of that many components could use."""
 ITERATIONS = 8
 DARK = 1e-4
 """A segment of a smaller share of the energy keeps one cluster."""
@@ -35,19 +38,28 @@ def compare(
     """Give what differs from CTA's row, for CPCA of as many bytes and of more, and wavelets."""
     segments = block_segments(sampled.cube.resolution, sampled.settings.block)
     energy = np.array([np.sum(samples[:, :, texels].astype(float) ** 2) for texels in segments])
-    counts = np.where(energy > DARK * energy.sum(), N_CLUSTERS, 1).tolist()
+    lit = energy > DARK * energy.sum()
     start = time.process_time()
     whole = compress_all_frequency_cpca(
-        sampled.segments(segments), segments, counts, MOST_COMPONENTS,
-        seed=sampled.settings.seed, view_basis=view_basis, n_dims=N_DIMS,
+        sampled.segments(segments), segments, np.where(lit, N_CLUSTERS, 1).tolist(), MOST_COMPONENTS,
+        seed=sampled.settings.seed, view_basis=view_basis,
+        n_dims=np.where(lit, N_DIMS, DARK_DIMS).tolist(),
         max_iterations=ITERATIONS, vertex_weights=sampled.areas,
     )  # fmt: skip
     seconds = time.process_time() - start
-    for method, target in ((CPCA, nbytes), (CPCA_LARGER, LEAST_BYTES_GAIN * nbytes)):
-        model = spent_to(whole, sampled, int(target))
+    for method, keep, target in (
+        (CPCA_EVEN, even_components, nbytes),
+        (CPCA, spend_numbers, nbytes),
+        (CPCA_LARGER, spend_numbers, int(LEAST_BYTES_GAIN * nbytes)),
+    ):
+        means = cpca_bytes(even_components(whole, 0.0))
+        model = keep(
+            whole, (target - means) / NUMBER_BYTES,
+            column_numbers=COLUMN_NUMBERS, vertex_weights=sampled.areas,
+        )  # fmt: skip
         yield {
             "method": method,
-            "detail": _detail(model),
+            "detail": _detail(model, view_basis.shape[1]),
             "clusters": N_CLUSTERS,
             "nbytes": cpca_bytes(model),
             "basis_error": 0.0,
@@ -59,23 +71,12 @@ def compare(
     yield wavelets(sampled, view_basis, nbytes, samples)
 
 
-def spent_to(whole: SegmentedCpcaModel, sampled: Sampled, nbytes: int) -> SegmentedCpcaModel:
-    """Return the smallest choice of components that takes at least ``nbytes``."""
-    most = sum(one.weights.shape[1] for one in whole.models)
-    few, many = 0, most
-    while few < many:
-        middle = (few + many) // 2
-        tried = spend_components(whole, middle, vertex_weights=sampled.areas)
-        if cpca_bytes(tried) < nbytes:
-            few = middle + 1
-        else:
-            many = middle
-    return spend_components(whole, few, vertex_weights=sampled.areas)
-
-
-def _detail(model: SegmentedCpcaModel) -> str:
-    kept = [one.weights.shape[1] for one in model.models]
-    return f"{len(kept)} segments of up to {N_CLUSTERS} clusters, {min(kept)} to {max(kept)} components"
+def _detail(model: SegmentedCpcaModel, view_rank: int) -> str:
+    kept = np.concatenate([one.ranks for one in model.models])
+    return (
+        f"{len(model.models)} segments of up to {N_CLUSTERS} clusters, {view_rank} view columns, "
+        f"{kept.min()} to {kept.max()} components"
+    )
 
 
 def wavelets(sampled: Sampled, view_basis: F32, nbytes: int, samples: F32) -> dict[str, Any]:

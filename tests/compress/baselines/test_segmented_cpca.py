@@ -8,7 +8,8 @@ from prtbake_workers.compress.baselines.segmented_cpca import (
     block_segments,
     compress_all_frequency_cpca,
     cut,
-    spend_components,
+    even_components,
+    spend_numbers,
 )
 
 N_TEXELS = 96
@@ -83,32 +84,61 @@ def test_objective_is_the_error_of_what_is_reconstructed(sampled):
     assert model.nbytes == 4 * numbers
 
 
-def test_components_go_to_the_segments_that_see_light(sampled):
+def component_numbers(model, column_numbers=0.0):
+    """Numbers of components and weights, counted where they are not zero."""
+    used = 0.0
+    for one in model.models:
+        for cluster, rank in enumerate(one.ranks):
+            assert not one.components[cluster, rank:].any()
+            n_verts = np.count_nonzero(one.labels == cluster)
+            used += rank * (n_verts + one.components.shape[2] + column_numbers)
+    return used
+
+
+def test_components_go_to_the_clusters_that_see_light(sampled):
     weights = np.linspace(0.5, 2.0, len(sampled))
-    even = compressed(sampled, 3, 2, vertex_weights=weights)
     rich = compressed(sampled, 3, 8, vertex_weights=weights)
-    spent = spend_components(rich, 12, vertex_weights=weights)
-    kept = [model.components.shape[1] for model in spent.models]
-    assert sum(kept) == 12
+    budget = 3000.0
+    spent = spend_numbers(rich, budget, column_numbers=5.0, vertex_weights=weights)
+    used = component_numbers(spent, 5.0)
+    # a component of a cluster is some 100 numbers
+    assert budget - 150.0 < used <= budget
     # the last two faces are dark
-    assert kept[4:] == [0, 0]
-    # all clusters of a segment that is lit are kept, where the dark ones had one
-    assert spent.nbytes < 1.5 * even.nbytes
-    assert spent.objective[-1] < 0.8 * even.objective[-1]
+    assert [int(one.ranks.sum()) for one in spent.models[4:]] == [0, 0]
     error = squared_error(spent, sampled, weights)
     assert spent.objective[-1] == pytest.approx(error, rel=1e-5)
-    # the slow twin: of all ways to move one component from a segment to another none is better
-    for poor in np.flatnonzero(kept):
-        for richer in range(4):
-            moved = list(kept)
-            moved[poor] -= 1
-            moved[richer] += 1
-            errors = [
-                rich.models[s].squared_error_per_vertex
-                + np.sum(rich.models[s].weights[:, n:].astype(float) ** 2, axis=1)
-                for s, n in enumerate(moved)
-            ]
-            assert float(weights @ sum(errors)) >= spent.objective[-1] * (1 - 1e-6)
+    even = even_components(rich, budget, column_numbers=5.0, vertex_weights=weights)
+    assert component_numbers(even, 5.0) <= budget
+    assert even.objective[-1] == pytest.approx(squared_error(even, sampled, weights), rel=1e-5)
+    assert spent.objective[-1] < 0.9 * even.objective[-1]
+    # twin: no exchange of one cluster's last component for another's next, in no more numbers, wins
+    ranks = [one.ranks.copy() for one in spent.models]
+    lost, won = [], []
+    for one, kept in zip(rich.models, ranks, strict=True):
+        for cluster, rank in enumerate(kept):
+            own = one.labels == cluster
+            energies = weights[own] @ one.weights[own].astype(float) ** 2
+            cost = np.count_nonzero(own) + one.components.shape[2] + 5.0
+            if rank > 0:
+                lost.append((energies[rank - 1], cost))
+            if rank < one.ranks[cluster]:
+                won.append((energies[rank], cost))
+    assert all(
+        gain <= loss * (1 + 1e-9) for loss, saved in lost for gain, cost in won if cost <= saved
+    )
+
+
+def test_even_components_differ_by_one_at_most(sampled):
+    rich = compressed(sampled, 3, 8)
+    even = even_components(rich, 4000.0)
+    counts = [int(one.ranks.max()) for one in even.models]
+    lit = counts[:4]
+    assert max(lit) - min(lit) <= 1
+    assert max(lit) > 0
+    by_energy = sorted(even.models, key=lambda one: -one.initial_energy)
+    counts = [int(one.ranks.max()) for one in by_energy]
+    assert counts == sorted(counts, reverse=True)
+    assert spend_numbers(rich, 0.0).objective == even_components(rich, 0.0).objective
 
 
 def test_a_few_leading_dimensions_serve_where_the_signal_has_few(sampled):

@@ -31,7 +31,7 @@ from prtbake_workers.compress.cluster_factors import (
 )
 from prtbake_workers.compress.clusters import members_by_cluster, refill_empty_clusters
 from prtbake_workers.compress.coherence import Coherence, CoherentMoves
-from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
+from prtbake_workers.compress.cta_model import CtaModel, CtaRanks, padded
 from prtbake_workers.compress.energy import row_energy_by_chunks
 from prtbake_workers.compress.inputs import (
     checked_count,
@@ -326,26 +326,19 @@ class _Fit:
         if len(used) < self.n_clusters:
             left_out = self.n_clusters - len(used)
             notes.append(f"{left_out} clusters left out: too few distinct vertices")
-        n_rows, n_coeffs = self.z.shape[1:]
-        r_view, r_light, r_vert = self.ranks
-        light = np.zeros((len(used), n_coeffs, r_light), dtype=np.float32)
-        dual = np.zeros((len(used), r_vert, n_rows, r_light), dtype=np.float32)
-        weights = np.zeros((len(self.z), r_vert), dtype=np.float32)
+        n_rows = self.z.shape[1]
+        factors = [self.factors[index] for index in used]
+        light, dual = padded(factors, n_rows, self.ranks)
+        weights = np.zeros((len(self.z), self.ranks.vert), dtype=np.float32)
         ranks = np.zeros((len(used), 3), dtype=np.int32)
         members = members_by_cluster(labels.astype(np.int32), len(used))
-        for index, verts in enumerate(members):
-            factors = self.factors[used[index]]
-            own_light, own_vert = factors.light.shape[1], len(factors.dual)
-            ranks[index] = r_view, own_light, own_vert
-            light[index, :, :own_light] = factors.light
-            dual[index, :own_vert, :, :own_light] = factors.dual.reshape(
-                own_vert, n_rows, own_light
-            )
-            weights[verts, :own_vert] = projected_weights(self.z[verts], factors)
+        for index, (own, verts) in enumerate(zip(factors, members, strict=True)):
+            ranks[index] = self.ranks.view, own.light.shape[1], len(own.dual)
+            weights[verts, : len(own.dual)] = projected_weights(self.z[verts], own)
         return CtaModel(
             view_basis=self.view_basis,
             light_bases=light,
-            dual_bases=dual.reshape(len(used), r_vert, n_rows * r_light),
+            dual_bases=dual,
             weights=weights,
             labels=labels.astype(np.int32),
             ranks=ranks,

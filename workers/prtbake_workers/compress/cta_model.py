@@ -1,11 +1,13 @@
 """The result of clustered tensor approximation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.compress.cluster_factors import ClusterFactors
 
 
 class CtaRanks(NamedTuple):
@@ -79,8 +81,8 @@ class CtaModel:
     def nbytes(self) -> int:
         """Bytes of the float32 factors, without what only pads the arrays."""
         sizes = np.bincount(self.labels, minlength=self.n_clusters)
-        _, light, vert = self.ranks.T.astype(np.int64)
-        rows = self.n_channels * self.view_basis.shape[1] * light + sizes
+        view, light, vert = self.ranks.T.astype(np.int64)
+        rows = self.n_channels * view * light + sizes
         floats = self.light_bases.shape[1] * light + rows * vert
         return 4 * (self.view_basis.size + int(floats.sum()))
 
@@ -104,3 +106,36 @@ class CtaModel:
             terms = (self.view_basis @ core) @ self.light_bases[cluster].T
             transfer[members] = terms.reshape(len(members), -1, n_coeffs)
         return transfer
+
+
+def padded(
+    factors: Sequence[ClusterFactors], n_rows: int, width: CtaRanks
+) -> tuple[Float32[F32, "clusters coeffs r_light"], Float32[F32, "clusters r_vert rows_light"]]:
+    """Join the bases of all clusters, with zeros beyond their ranks, as a model holds them.
+
+    ``n_rows`` counts the view rows of all channels, ``width`` is as wide as the arrays are to be.
+    """
+    _, r_light, r_vert = width
+    light = np.zeros((len(factors), len(factors[0].light), r_light), dtype=np.float32)
+    dual = np.zeros((len(factors), r_vert, n_rows, r_light), dtype=np.float32)
+    for index, own in enumerate(factors):
+        own_light, own_vert = own.light.shape[1], len(own.dual)
+        light[index, :, :own_light] = own.light
+        dual[index, :own_vert, :, :own_light] = own.dual.reshape(own_vert, n_rows, own_light)
+    return light, dual.reshape(len(factors), r_vert, n_rows * r_light)
+
+
+def unpadded(model: CtaModel) -> list[ClusterFactors]:
+    """Give the bases of each cluster at its own light and vertex ranks."""
+    n_rows, width = model.n_channels * model.view_basis.shape[1], model.light_bases.shape[2]
+    found = []
+    for light, dual, ranks in zip(model.light_bases, model.dual_bases, model.ranks, strict=True):
+        _, r_light, r_vert = ranks.tolist()
+        rows = dual[:r_vert].reshape(r_vert, n_rows, width)[:, :, :r_light]
+        found.append(
+            ClusterFactors(
+                np.ascontiguousarray(light[:, :r_light]),
+                np.ascontiguousarray(rows.reshape(r_vert, n_rows * r_light)),
+            )
+        )
+    return found

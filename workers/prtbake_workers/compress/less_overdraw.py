@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import (
-    ClusterFactors,
     projected_weights,
     squared_residuals,
 )
 from prtbake_workers.compress.clusters import members_by_cluster, weighted_mean
 from prtbake_workers.compress.cpca_model import CpcaModel
-from prtbake_workers.compress.cta_model import CtaModel
+from prtbake_workers.compress.cta_model import CtaModel, unpadded
 from prtbake_workers.compress.energy import row_energy
 from prtbake_workers.compress.gram_eigh import leading_row_space
 from prtbake_workers.compress.inputs import checked_signal, checked_vertex_weights
@@ -190,20 +189,8 @@ def less_overdraw_cta(
     weights = checked_vertex_weights(vertex_weights, len(t))
     _check(budget, len(t), len(model.labels))
     n_terms, r_view = model.view_basis.shape
-    n_rows, n_coeffs = model.n_channels * r_view, t.shape[2]
-    factors = [
-        ClusterFactors(
-            np.ascontiguousarray(light[:, :r_light]),
-            np.ascontiguousarray(
-                dual[:r_vert]
-                .reshape(int(r_vert), n_rows, light.shape[1])[:, :, :r_light]
-                .reshape(int(r_vert), n_rows * int(r_light))
-            ),
-        )
-        for light, dual, (_, r_light, r_vert) in zip(
-            model.light_bases, model.dual_bases, model.ranks, strict=True
-        )
-    ]
+    n_coeffs = t.shape[2]
+    factors = unpadded(model)
 
     def in_view(verts: NDArray[Any]) -> tuple[F32, F64]:
         """Give Z_view of vertices, and what the view basis leaves of them."""

@@ -18,6 +18,7 @@ from prtbake_workers.compress.coherence import Coherence
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.cta import compress_cta
+from prtbake_workers.compress.cta_adaptive import with_own_ranks
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.less_overdraw import less_overdraw_cpca, less_overdraw_cta
 from prtbake_workers.compress.pca import Principal
@@ -114,7 +115,8 @@ class Fit:
     vertex_weights
         (verts,) weights in the squared error, e.g. areas; ones when None.
     classification
-        Of clustered PCA, one of `prtbake_workers.compress.cpca.METHODS`.
+        Of clustered PCA, one of `prtbake_workers.compress.cpca.METHODS`; with ``adaptive`` clusters
+        of tensors have ranks of their own too.
     coherence
         What being far from a cluster on the mesh costs; None for nothing.
     faces
@@ -208,7 +210,9 @@ def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
 
 
 def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> CtaModel:
-    return compress_cta(
+    adaptive = fit.classification == "adaptive"
+    share = EVEN_SHARE if adaptive else 1.0
+    model = compress_cta(
         coefficients,
         sizes.n_clusters,
         CtaRanks(*sizes.ranks),
@@ -217,9 +221,20 @@ def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> CtaModel:
         vertex_weights=fit.vertex_weights,
         n_channels=fit.n_channels,
         coherence=fit.coherence,
-        progress=fit.progress,
+        progress=lambda done, state: fit.progress(share * done, state),
+    )
+    if not adaptive:
+        return model
+    return with_own_ranks(
+        model,
+        coefficients,
+        vertex_weights=fit.vertex_weights,
+        progress=lambda done, state: fit.progress(share + (1.0 - share) * done, state),
     )
 
+
+EVEN_SHARE = 0.6
+"""Of the time that even ranks and then own ones take, about."""
 
 METHODS: Mapping[str, Compressor] = {"vq": _vq, "pca": _pca, "cpca": _cpca, "cta": _cta}
 """Vector quantisation, principal components, those of clusters, and tensors of clusters."""

@@ -6,6 +6,7 @@ such columns make steps fine enough to land where one wants to.
 """
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from prtbake_workers.compress.cta_model import CtaModel
 
 Columns = CpcaModel | CtaModel
 """Models whose vertices weigh orthonormal columns."""
+
+AnyColumns = TypeVar("AnyColumns", CpcaModel, CtaModel)
 
 
 def trimmed(
@@ -42,8 +45,16 @@ def trimmed(
     sizes = np.bincount(model.labels, minlength=model.n_clusters)
     slack = (allowed - model.squared_error_ratio) * model.initial_energy
     left_out = _least_worth(energies, _ranks(model), sizes + _row_lengths(model), slack)
-    if not left_out.any():
-        return model
+    return without_columns(model, left_out, weights) if left_out.any() else model
+
+
+def without_columns(
+    model: AnyColumns,
+    left_out: Bool[B8, "clusters columns"],
+    vertex_weights: Float64[F64, " verts"],
+) -> AnyColumns:
+    """Leave out columns of each cluster, and count what they held as ``trimmed``."""
+    energies = column_energies(model.weights, model.labels, model.n_clusters, vertex_weights)
     added = np.where(left_out[model.labels], np.square(model.weights, dtype=np.float64), 0.0)
     return replace(
         _without(model, left_out),
@@ -95,7 +106,7 @@ def _least_worth(
     return left_out
 
 
-def _without(model: Columns, left_out: Bool[B8, "clusters columns"]) -> Columns:
+def _without(model: AnyColumns, left_out: Bool[B8, "clusters columns"]) -> AnyColumns:
     """Move the columns that stay to the front, and cut the arrays to the largest rank."""
     width = left_out.shape[1]
     own = _ranks(model)

@@ -24,14 +24,20 @@ from prtbake_workers.compress.baselines.segmented_cpca_model import SegmentedCpc
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
-from prtbake_workers.compress.gram_eigh import leading_eigenvectors
+from prtbake_workers.compress.gram_eigh import nearer_row_space, orthonormal_rows
 from prtbake_workers.compress.inputs import checked_count, checked_signal, checked_vertex_weights
 from prtbake_workers.compress.progress import Progress, no_progress
+from prtbake_workers.compress.rank_allocation import allocate_ranks
+from prtbake_workers.compress.trim import column_energies, without_columns
 from prtbake_workers.compress.view_basis import project_view
 
 N_FACES = 6
 SAMPLE_VERTS = 4096
 """The leading dimensions of a segment are those of so many vertices, drawn at random."""
+
+DIM_ITERATIONS = 3
+"""Orthogonal iterations from random directions: what they miss of thousands counts as error, and is
+a share of what lies outside anyway."""
 
 
 def block_segments(resolution: int, block: int) -> list[Int64[I64, " texels"]]:
@@ -75,7 +81,7 @@ def compress_all_frequency_cpca(
     *,
     seed: int,
     view_basis: Float32[F32, "rows r_view"] | None = None,
-    n_dims: int | None = None,
+    n_dims: int | Sequence[int] | None = None,
     max_iterations: int = 40,
     vertex_weights: NDArray[Any] | None = None,
     progress: Progress = no_progress,
@@ -100,8 +106,9 @@ def compress_all_frequency_cpca(
         U_view with orthonormal columns, which the rows are reduced by first; None keeps them all.
         What it leaves out is part of the error.
     n_dims
-        Clusters and components are sought in so many leading dimensions of each segment; None in
-        all of them, which takes far longer.  What lies outside is part of the error.
+        Clusters and components are sought in so many leading dimensions of each segment, one number
+        for all or one for each; None in all of them, which takes far longer.  What lies outside is
+        part of the error.
     max_iterations
         Most iterations of each clustering.
     vertex_weights
@@ -120,9 +127,12 @@ def compress_all_frequency_cpca(
             f"{len(counts)} numbers of clusters for {len(segments)} segments",
             pointer="/n_clusters",
         )
+    dims_of: Sequence[int | None] = (
+        [n_dims] * len(segments) if n_dims is None or isinstance(n_dims, int) else list(n_dims)
+    )
     models: list[CpcaModel] = []
     weights, errors, energy = np.zeros(0), np.zeros(0), np.zeros(0)
-    for part, texels, count in zip(parts, segments, counts, strict=True):
+    for part, texels, count, most in zip(parts, segments, counts, dims_of, strict=True):
         t = checked_signal(part, "parts", ("verts", "rows", "texels"))
         if not models:
             weights = checked_vertex_weights(vertex_weights, len(t))
@@ -140,8 +150,8 @@ def compress_all_frequency_cpca(
             errors += project_view(t, view_basis, z)
         signal = z.reshape(len(z), -1)
         dims = None
-        if n_dims is not None and n_dims < signal.shape[1]:
-            dims = _leading_dims(signal, weights, checked_count(n_dims, "n_dims"), seed)
+        if most is not None and most < signal.shape[1]:
+            dims = _leading_dims(signal, weights, checked_count(most, "n_dims"), seed)
             signal, outside = _in_dims(signal, dims)
             errors += outside
         model = compress_cpca(
@@ -162,57 +172,87 @@ def compress_all_frequency_cpca(
     )
 
 
-def spend_components(
+def spend_numbers(
     model: SegmentedCpcaModel,
-    total: int,
+    budget: float,
     *,
+    column_numbers: float = 0.0,
     vertex_weights: Float64[F64, " verts"] | None = None,
 ) -> SegmentedCpcaModel:
-    """Keep ``total`` components a cluster, all segments together, where they capture most.
+    """Keep the components that capture most in ``budget`` numbers, a cluster at a time.
 
     [Liu2004]_ gives every segment as many; half of the light of an object on a plane carries next
-    to nothing.
+    to nothing, and clusters of one segment differ too.
 
     Parameters
     ----------
     model
-        With as many components in each segment as the richest may need.
-    total
-        At least 0; a segment may be left with its means.
+        With as many components in each segment as its richest cluster may need.
+    budget
+        Numbers of components and weights together, at least 0; means are kept all.
+    column_numbers
+        That a component stores beside its own and its vertices' weights, such as scales.
     vertex_weights
         Those that it was compressed with.
 
     Notes
     -----
-    Components of a cluster are orthonormal, strongest first.  What the p-th ones of a segment
-    capture is sum_x a_x w_xp^2 over its clusters; no component is taken before the one it follows.
+    Components of a cluster are orthonormal, strongest first: what the p-th one captures is
+    sum_x a_x w_xp^2 over the cluster, and no component is taken before the one it follows.
     """
     weights = checked_vertex_weights(vertex_weights, len(model.squared_error_per_vertex))
-    gains = [
-        # over clusters of different spectra the sum need not fall
-        np.minimum.accumulate(weights @ one.weights.astype(np.float64) ** 2)
-        for one in model.models
-    ]
-    owner = np.repeat(np.arange(len(gains)), [len(gain) for gain in gains])
-    best = np.argsort(-np.concatenate(gains), kind="stable")[:total]
-    kept = np.bincount(owner[best], minlength=len(gains)).tolist()
-    errors = model.squared_error_per_vertex.copy()
+    gains: list[F64] = []
+    costs: list[float] = []
+    for one in model.models:
+        energies = column_energies(one.weights, one.labels, one.n_clusters, weights)
+        for own, rank in zip(energies, one.ranks, strict=True):
+            # falling but for rounding, which a path that takes them in order cannot follow
+            gains.append(np.minimum.accumulate(own[:rank]))
+        sizes = np.bincount(one.labels, minlength=one.n_clusters)
+        costs += (sizes + one.means.shape[1] + column_numbers).tolist()
+    ranks = allocate_ranks(gains, np.array(costs), budget).ranks
+    ends = np.cumsum([one.n_clusters for one in model.models])[:-1]
+    return _kept(model, np.split(ranks, ends), weights)
+
+
+def even_components(
+    model: SegmentedCpcaModel,
+    budget: float,
+    *,
+    column_numbers: float = 0.0,
+    vertex_weights: Float64[F64, " verts"] | None = None,
+) -> SegmentedCpcaModel:
+    """Keep as many components in every cluster of every segment, as [Liu2004]_ does.
+
+    The last round goes to the segments of most energy, while it fits.  Parameters are those of
+    `spend_numbers`.
+    """
+    weights = checked_vertex_weights(vertex_weights, len(model.squared_error_per_vertex))
+    order = np.argsort([-one.initial_energy for one in model.models], kind="stable").tolist()
+    kept = [np.zeros(one.n_clusters, dtype=np.int64) for one in model.models]
+    for n in range(1, 1 + max(one.weights.shape[1] for one in model.models)):
+        for index in order:
+            one = model.models[index]
+            own = np.minimum(one.ranks, n).astype(np.int64)
+            sizes = np.bincount(one.labels, minlength=one.n_clusters)
+            cost = (own - kept[index]) @ (sizes + one.means.shape[1] + column_numbers)
+            if cost > budget:
+                return _kept(model, kept, weights)
+            budget -= cost
+            kept[index] = own
+    return _kept(model, kept, weights)
+
+
+def _kept(model: SegmentedCpcaModel, ranks: Sequence[I64], weights: F64) -> SegmentedCpcaModel:
+    """Keep the first components of each cluster of each segment."""
     models = []
-    for one, n in zip(model.models, kept, strict=True):
-        dropped = one.weights[:, n:].astype(np.float64)
-        lost = np.einsum("vp,vp->v", dropped, dropped)
-        errors += lost
-        own = one.squared_error_per_vertex + lost
-        models.append(
-            replace(
-                one,
-                components=np.ascontiguousarray(one.components[:, :n]),
-                weights=np.ascontiguousarray(one.weights[:, :n]),
-                ranks=np.minimum(one.ranks, n).astype(np.int32),
-                squared_error_per_vertex=own,
-                objective=[*one.objective, float(weights @ own)],
-            )
-        )
+    errors = model.squared_error_per_vertex.copy()
+    for one, own in zip(model.models, ranks, strict=True):
+        columns = np.arange(one.weights.shape[1])
+        left_out = (columns >= own[:, None]) & (columns < one.ranks[:, None])
+        less = without_columns(one, left_out, weights)
+        errors += less.squared_error_per_vertex - one.squared_error_per_vertex
+        models.append(less)
     return replace(
         model,
         models=models,
@@ -228,11 +268,11 @@ def _leading_dims(
     rng = np.random.default_rng(seed)
     n_sample = min(len(signal), SAMPLE_VERTS)
     sample = np.sort(rng.choice(len(signal), size=n_sample, replace=False))
-    rows = signal[sample] * np.sqrt(weights[sample]).astype(np.float32)[:, None]
-    gram = np.zeros((signal.shape[1], signal.shape[1]))
-    for chunk in row_chunks(rows):
-        gram += rows[chunk].T @ rows[chunk]
-    return leading_eigenvectors(gram, n_dims)[1].astype(np.float32)
+    rows = signal[sample].astype(np.float64) * np.sqrt(weights[sample])[:, None]
+    found = orthonormal_rows(rng.standard_normal((n_dims, signal.shape[1])))
+    for _ in range(DIM_ITERATIONS):
+        found = nearer_row_space(rows, found)
+    return found.T.astype(np.float32)
 
 
 def _in_dims(
