@@ -1,7 +1,7 @@
 """[Tsai2006] tables 1 and 2 redone: teapot, buddha and bunny on a plane.
 
 ``python tests/measured/tsai.py [--quick] [--to FOLDER] [name ...]`` bakes the models, compresses
-them by CTA and one of them by all-frequency CPCA and wavelets too, and writes
+them by CTA, all-frequency CPCA and wavelets, and writes
 ``measured/tsai.{md,csv}`` and ``measured/tsai-bases.csv``, which keep the rows of models that are
 not named.  It fails where a statement of the page does not hold.  ``--quick`` is coarse and proves only that the command runs.
 """
@@ -57,7 +57,14 @@ views and the light functions over the sphere, so that is radiance. What 16 term
 
 Each model stands on a plane two diagonals wide, so some light comes up past its edge. Visibility is that of
 2 x 2 rays a texel, where theirs is of 4 x 4 samples: smoother transport is easier. Factors are stored in 16 bits;
-bytes hold their scales and a byte a vertex for its cluster (and segment). CTA clusters in four iterations.
+bytes hold their scales and a byte a vertex for its cluster (and segment), and true ranks only. CTA clusters in three
+iterations.
+
+`CTA` has the paper's ranks, (8, 48, 24) in every cluster. Most of what it leaves lies outside its eight view columns of
+sixteen. `CTA, own ranks` has twelve and fewer of the other vectors, as many bytes in all, divided over the clusters by
+what ranks capture there. All-frequency CPCA has the same twelve view columns, as many bytes as that row, and its
+components where they capture most, a cluster of a segment at a time; with even components it has as many in every
+cluster, as the paper does.
 
 Theirs are the columns of their table 1. Their meshes of the bunny and the buddha have more vertices than those
 here; the teapot is tessellated to as many as theirs."""

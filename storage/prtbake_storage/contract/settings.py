@@ -198,7 +198,8 @@ class CompressSettings(Wire):
     """Of PCA; of clustered PCA, a cluster."""
     classification: Literal["static", "iterative", "adaptive"] = "static"
     """Of clustered PCA: by distance to the mean, by error, or by error with as many components a
-    cluster as pay there, `n_components` in the mean."""
+    cluster as pay there, `n_components` in the mean.  `adaptive` gives clusters of tensors ranks of
+    their own too, which store no more together than `ranks` of all would."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] = 10
     """Rounds of clustering at most."""
     bits: Literal[8, 16, "auto"] = "auto"
