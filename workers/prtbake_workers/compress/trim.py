@@ -6,7 +6,6 @@ such columns make steps fine enough to land where one wants to.
 """
 
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from prtbake_workers.compress.cta_model import CtaModel
 
 Columns = CpcaModel | CtaModel
 """Models whose vertices weigh orthonormal columns."""
-
-AnyColumns = TypeVar("AnyColumns", CpcaModel, CtaModel)
 
 
 def trimmed(
@@ -49,10 +46,10 @@ def trimmed(
 
 
 def without_columns(
-    model: AnyColumns,
+    model: Columns,
     left_out: Bool[B8, "clusters columns"],
     vertex_weights: Float64[F64, " verts"],
-) -> AnyColumns:
+) -> Columns:
     """Leave out columns of each cluster, and count what they held as ``trimmed``."""
     energies = column_energies(model.weights, model.labels, model.n_clusters, vertex_weights)
     added = np.where(left_out[model.labels], np.square(model.weights, dtype=np.float64), 0.0)
@@ -106,7 +103,7 @@ def _least_worth(
     return left_out
 
 
-def _without(model: AnyColumns, left_out: Bool[B8, "clusters columns"]) -> AnyColumns:
+def _without(model: Columns, left_out: Bool[B8, "clusters columns"]) -> Columns:
     """Move the columns that stay to the front, and cut the arrays to the largest rank."""
     width = left_out.shape[1]
     own = _ranks(model)
