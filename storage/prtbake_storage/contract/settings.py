@@ -210,6 +210,10 @@ class CompressSettings(Wire):
     max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     """Squared, relative to a part's transfer, rounding included: sizes are searched that end just
     below it.  Takes the place of `ranks`, `n_components` and `max_quantisation_error`."""
+    max_bytes: Annotated[int, Field(ge=1, lt=2**53)] | None = None
+    """Of `asset.h5`, mesh and tables included: sizes, columns and bits are searched that end just
+    below it with the least error.  Takes the place of the same; beside `max_error`, what the fewest
+    bytes for that error are held against."""
     coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
     """What a vertex pays for being a box diagonal off its cluster on the mesh, in root mean square
     norms of the signal; null and 0 leave places aside, 0.05 is Chen's.  Where clusters have bases
@@ -231,17 +235,19 @@ class CompressSettings(Wire):
             raise ValueError("max_quantisation_error goes with bits 'auto', not with a number")
         return bound
 
-    @field_validator("max_error")
+    @field_validator("max_error", "max_bytes")
     @classmethod
     def _alone(cls, asked: float | None, info: ValidationInfo) -> float | None:
-        """Refuse an error beside what would decide it."""
+        """Refuse an error or bytes beside what would decide them."""
         if asked is None:
             return asked
         for name in ("ranks", "n_components", "max_quantisation_error"):
             if info.data.get(name) is not None:
-                raise ValueError(f"max_error chooses {name}: give one of them")
+                raise ValueError(f"{info.field_name} chooses {name}: give one of them")
         if info.data.get("bits") == 8:
-            raise ValueError("max_error chooses the bits: leave them 'auto', or 16")
+            raise ValueError(f"{info.field_name} chooses the bits: leave them 'auto', or 16")
+        if info.field_name == "max_bytes" and info.data.get("bits") == 16:
+            raise ValueError("max_bytes chooses the bits: leave them 'auto'")
         return asked
 
 

@@ -24,15 +24,29 @@ def new_file(path: Path, kind: str) -> Iterator[h5py.File]:
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with h5py.File(partial, "w", libver=schema.LIBVER, track_times=False) as file:
-            set_attribute(file, "format", schema.FORMAT)
-            set_attribute(file, "version", schema.VERSION)
-            set_attribute(file, "kind", kind)
+            _set_header(file, kind)
             yield file
         _sync(partial)
         partial.replace(path)
         _sync(path.parent)
     finally:
         partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def file_in_memory(kind: str) -> Iterator[h5py.File]:
+    """Lay out a file as `new_file` does, in memory alone."""
+    with h5py.File(
+        kind, "w", driver="core", backing_store=False, libver=schema.LIBVER, track_times=False
+    ) as file:
+        _set_header(file, kind)
+        yield file
+
+
+def _set_header(file: h5py.File, kind: str) -> None:
+    set_attribute(file, "format", schema.FORMAT)
+    set_attribute(file, "version", schema.VERSION)
+    set_attribute(file, "kind", kind)
 
 
 def _sync(path: Path) -> None:

@@ -75,22 +75,43 @@ def write_asset(
     """
     check_asset(asset)
     seen = quantise_asset(asset, bits, errors)
+    with h5.new_file(path, "asset") as file:
+        _put_asset(file, asset, seen, bits, errors)
+    return seen
+
+
+def asset_size(
+    asset: Asset, *, bits: int | Sequence[Scales] = 16, errors: Sequence[float] | None = None
+) -> int:
+    """Return the bytes of the file that `write_asset` writes, without a file."""
+    with h5.file_in_memory("asset") as file:
+        _put_asset(file, asset, quantise_asset(asset, bits, errors), bits, errors)
+        file.flush()
+        return len(file.id.get_file_image())
+
+
+def _put_asset(
+    file: h5py.File,
+    asset: Asset,
+    seen: Asset,
+    bits: int | Sequence[Scales],
+    errors: Sequence[float] | None,
+) -> None:
+    """Write an asset, of which readers see ``seen``."""
     exact = isinstance(bits, int) and bits == 32
     scales = [None] * len(asset.parts) if exact else asset_scales(asset, bits)
-    with h5.new_file(path, "asset") as file:
-        h5.set_attribute(file, "bits", 32 if exact else _most_bits(seen))
-        normals = asset.normals if exact else pack_units(asset.normals)
-        put_mesh(file, asset.positions, asset.faces, normals, asset.uv)
-        put_basis(file, asset.basis)
-        parts = h5.group(file, "parts")
-        for index, part in enumerate(asset.parts):
-            group = h5.group(parts, str(index))
-            if errors is not None and not exact:
-                h5.set_attribute(group, "quantisation_error", float(errors[index]))
-            part_normals = asset.normals[slice(*part.vertex_range)]
-            _put_part(group, part, part_normals, scales[index])
-        h5.put_json(file, "provenance", dict(asset.provenance))
-    return seen
+    h5.set_attribute(file, "bits", 32 if exact else _most_bits(seen))
+    normals = asset.normals if exact else pack_units(asset.normals)
+    put_mesh(file, asset.positions, asset.faces, normals, asset.uv)
+    put_basis(file, asset.basis)
+    parts = h5.group(file, "parts")
+    for index, part in enumerate(asset.parts):
+        group = h5.group(parts, str(index))
+        if errors is not None and not exact:
+            h5.set_attribute(group, "quantisation_error", float(errors[index]))
+        part_normals = asset.normals[slice(*part.vertex_range)]
+        _put_part(group, part, part_normals, scales[index])
+    h5.put_json(file, "provenance", dict(asset.provenance))
 
 
 def _most_bits(asset: Asset) -> int:

@@ -26,7 +26,7 @@ from prtbake_storage.decode.quantise import (
     round_part,
     scale_below,
 )
-from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress.rounding_error import (
     RoundingError,
     foreseen_error,
@@ -94,7 +94,7 @@ def allocate_bits(part: Part, areas: Float64[F64, " verts"], bound: float) -> Al
     The same on any number of threads.  The error is measured one to four times.
     """
     weights = number_weights(part, areas)
-    steps_of = _Steps(part, weights)
+    steps_of = Steps(part, weights)
 
     def allocation(scales: Scales) -> Allocation:
         error = measured(part, scales, areas)
@@ -141,7 +141,7 @@ def _next_step(
     return guess
 
 
-class _Steps:
+class Steps:
     """Scales of one part at any step t."""
 
     def __init__(self, part: Part, weights: dict[str, F64]) -> None:
@@ -153,7 +153,7 @@ class _Steps:
             name: finest_scale(peak, LARGEST_LEVEL) for name, peak in self._peaks.items()
         }
 
-    def scales(self, step: float) -> Scales:
+    def scales(self, step: float) -> dict[str, Float32[F32, "..."]]:
         """Return s = t / sqrt(g) for all columns, no finer than 16 bits hold."""
         found = {}
         for name, peak in self._peaks.items():

@@ -104,19 +104,40 @@ def _least_worth(
 
 
 def _without(model: Columns, left_out: Bool[B8, "clusters columns"]) -> Columns:
-    """Move the columns that stay to the front, and cut the arrays to the largest rank."""
-    width = left_out.shape[1]
-    own = _ranks(model)
-    stays = ~left_out & (np.arange(width) < own[:, None])
-    ranks = stays.sum(axis=1).astype(np.int32)
-    width = max(1, int(ranks.max(initial=0)))
-    order = np.argsort(~stays, axis=1, kind="stable")[:, :width]
-    filled = np.arange(width) < ranks[:, None]
-    weights = np.take_along_axis(model.weights, order[model.labels], axis=1)
-    weights *= filled[model.labels]
     if isinstance(model, CtaModel):
-        rows = np.take_along_axis(model.dual_bases, order[:, :, None], axis=1) * filled[:, :, None]
+        given, rows, ranks = compacted(
+            model.weights, model.dual_bases, model.labels, _ranks(model), left_out
+        )
         columns = np.column_stack([model.ranks[:, :2], ranks])
-        return replace(model, weights=weights, dual_bases=rows, ranks=columns)
-    rows = np.take_along_axis(model.components, order[:, :, None], axis=1) * filled[:, :, None]
-    return replace(model, weights=weights, components=rows, ranks=ranks)
+        return replace(model, weights=given, dual_bases=rows, ranks=columns)
+    given, rows, ranks = compacted(
+        model.weights, model.components, model.labels, model.ranks, left_out
+    )
+    return replace(model, weights=given, components=rows, ranks=ranks)
+
+
+def compacted(
+    weights: Float32[F32, "verts columns"],
+    rows: Float32[F32, "clusters columns numbers"],
+    labels: Int32[I32, " verts"],
+    ranks: Int32[I32, " clusters"],
+    left_out: Bool[B8, "clusters columns"],
+) -> tuple[
+    Float32[F32, "verts kept"], Float32[F32, "clusters kept numbers"], Int32[I32, " clusters"]
+]:
+    """Move the columns that stay to the front, and cut the arrays to the largest rank.
+
+    Returns
+    -------
+    weights, rows, ranks
+        As given, with fewer columns; one at least, of zeros where none stays.
+    """
+    width = left_out.shape[1]
+    stays = ~left_out & (np.arange(width) < ranks[:, None])
+    kept = stays.sum(axis=1).astype(np.int32)
+    width = max(1, int(kept.max(initial=0)))
+    order = np.argsort(~stays, axis=1, kind="stable")[:, :width]
+    filled = np.arange(width) < kept[:, None]
+    given = np.take_along_axis(weights, order[labels], axis=1) * filled[labels]
+    own = np.take_along_axis(rows, order[:, :, None], axis=1) * filled[:, :, None]
+    return given, own, kept

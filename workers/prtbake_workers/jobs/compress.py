@@ -26,6 +26,8 @@ from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.rounding import options
+from prtbake_workers.jobs.sized import check_bytes, write_sized
+from prtbake_workers.planning.byte_budget import sized_to_bytes
 from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 from prtbake_workers.planning.stage_work import compress_work, quantise_work, total
@@ -52,6 +54,7 @@ def stages(
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
     rounding, draws = options(settings), draw_settings(settings)
+    by_bytes = settings.max_bytes is not None and settings.max_error is None
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
 
     def parts(results: Results) -> list[Task]:
@@ -68,7 +71,8 @@ def stages(
                     "kept": kept,
                     "seed": seed,
                     "draws": draws,
-                },
+                }
+                | (_byte_budget(settings, compressions) if by_bytes else {}),
                 label=f"part {index}",
                 threads=settings.threads,
             )
@@ -78,6 +82,8 @@ def stages(
     def assemble(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
         asked = settings.model_dump(include={"max_iterations", "max_error", "threads"})
+        if settings.max_bytes is not None:
+            asked["max_bytes"] = settings.max_bytes
         args = {
             "transfer": transfer,
             "factors": [result["factors"] for result in results["compress"]],
@@ -85,6 +91,7 @@ def stages(
             "energies": [result["initial_energy"] for result in results["compress"]],
             "rounding": rounding,
             "max_error": settings.max_error,
+            "max_bytes": settings.max_bytes,
             "registers": settings.registers,
             "compress": asked | draws | {"seed": seed} | rounding | {"parts": compressions},
         }
@@ -94,6 +101,17 @@ def stages(
         Stage("compress", "parts", 30.0, parts),
         Stage("quantise", "asset", 2.0, assemble),
     ]
+
+
+def _byte_budget(
+    settings: CompressSettings, compressions: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Give the tasks of parts what they share a number of bytes by."""
+    return {
+        "max_bytes": settings.max_bytes,
+        "compressions": list(compressions),
+        "clusters_given": settings.n_clusters is not None,
+    }
 
 
 def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> list[Stage]:
@@ -220,7 +238,7 @@ def read_mesh(path: Path, part: TransferPart) -> tuple[F64, I32]:
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
-    compression = PartCompression.from_dict(args["compression"])
+    compression = _compression(args, context)
     draws = args.get("draws") or {}
     positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)
     weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
@@ -263,6 +281,21 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     }
 
 
+def _compression(args: dict[str, Any], context: TaskContext) -> PartCompression:
+    """Choose the part's sizes: those planned, or what a number of bytes calls for."""
+    if args.get("max_bytes") is None:
+        return PartCompression.from_dict(args["compression"])
+    with open_transfer(context.store.local_path(args["transfer"])) as transfer:
+        header = transfer.header
+    sized: list[PartCompression] = sized_to_bytes(
+        header,
+        [PartCompression.from_dict(one) for one in args["compressions"]],
+        args["max_bytes"],
+        clusters_given=args["clusters_given"],
+    )
+    return sized[int(args["part"])]
+
+
 def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``asset.h5`` and, with exact factors, ``asset-float32.h5``."""
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:
@@ -285,11 +318,19 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                     f"{view_error:.2%} of the radiance: the lobe is narrow for it"
                 )
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
-        if args["registers"] is not None:
-            exact = with_superclusters(exact, args["registers"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"
+
+        def finished(asset: Asset) -> Asset:
+            registers = args["registers"]
+            return asset if registers is None else with_superclusters(asset, registers)
+
+        if args.get("max_bytes") is not None and args["max_error"] is None:
+            exact, rounded, delivered = write_sized(path, exact, transfer, args, finished)
+        else:
+            exact = finished(exact)
+            rounded, delivered = write_delivered(path, exact, transfer, args)
+            check_bytes(path, args)
         write_asset(exact_path, exact, bits=32)
-        rounded, delivered = write_delivered(path, exact, transfer, args)
     size = path.stat().st_size
     return {
         "asset": context.store.put_file(path, move=True),

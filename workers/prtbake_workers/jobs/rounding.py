@@ -1,5 +1,6 @@
 """Write ``asset.h5``: factors rounded as the settings ask, the error measured in the file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,23 +63,55 @@ def write_rounded(
         No 16 bits meet the bound that was given; says what they leave.
     """
     areas = [part.areas for part in transfer.header.parts]
-    energies = [_energy(transfer, index, own) for index, own in enumerate(areas)]
+    energies = [energy_of(transfer, index) for index in range(len(areas))]
     if allowed is None:
         allowed = [SHARE * share * energy for share, energy in zip(left, energies, strict=True)]
     chosen = [
         _scales(part, own, energy, rounding, default)
         for part, own, energy, default in zip(exact.parts, areas, energies, allowed, strict=True)
     ]
-    ratios = [
-        _ratio(error.total, energy) for (_, error), energy in zip(chosen, energies, strict=True)
+    scales = [own for own, _ in chosen]
+    totals = [error.total for _, error in chosen]
+    return _written(path, exact, transfer, scales, totals, rounding, left)
+
+
+def write_scaled(
+    path: Path,
+    exact: Asset,
+    transfer: TransferFile,
+    scales: Sequence[Scales],
+    rounding: dict[str, Any],
+    left: list[float],
+) -> Rounded:
+    """Write the asset with factors rounded by scales that are given, as `write_rounded` does."""
+    totals = [
+        measured(part, own, transfer.header.parts[index].areas).total
+        for index, (part, own) in enumerate(zip(exact.parts, scales, strict=True))
     ]
-    write_asset(path, exact, bits=[scales for scales, _ in chosen], errors=ratios)
+    return _written(path, exact, transfer, scales, totals, rounding, left)
+
+
+def _written(
+    path: Path,
+    exact: Asset,
+    transfer: TransferFile,
+    scales: Sequence[Scales],
+    totals: Sequence[float],
+    rounding: dict[str, Any],
+    left: list[float],
+) -> Rounded:
+    """Write the file with the error of every part in it, and read it back."""
+    energies = [energy_of(transfer, index) for index in range(len(totals))]
+    ratios = [_ratio(total, energy) for total, energy in zip(totals, energies, strict=True)]
+    write_asset(path, exact, bits=list(scales), errors=ratios)
+    areas = [part.areas for part in transfer.header.parts]
     return _as_read(path, exact, areas, energies, rounding, left)
 
 
-def _energy(transfer: TransferFile, index: int, areas: F64) -> float:
-    """Return the squared norm of what the file holds: the signal without what projection left."""
-    found = transfer.energies(index)
+def energy_of(transfer: TransferFile, part: int) -> float:
+    """Return the squared norm of a part's transfer by area, less what projection left."""
+    found = transfer.energies(part)
+    areas = transfer.header.parts[part].areas
     return float(areas @ np.maximum(found.signal - found.residual, 0.0))
 
 

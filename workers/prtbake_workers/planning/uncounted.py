@@ -16,6 +16,11 @@ def uncounted(
             "max_error tries sizes until the error fits: seconds, bytes and memory are those of "
             "one fit at the sizes it starts from"
         )
+    elif compress.max_bytes is not None:
+        found["compress"] = (
+            "max_bytes fits sizes that are ample for the bytes: seconds, bytes and memory are "
+            "those of the sizes it starts from"
+        )
     elif compress.classification != "static":
         found["compress"] = (
             f"{compress.classification} classification takes up to 25 times the seconds of static, "

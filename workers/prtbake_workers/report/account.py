@@ -23,7 +23,8 @@ ERRORS_ARE = {
     "quantise": "of a part: what rounding its factors changes of the compressed coefficients, "
     "weighted by area, over the transport as it was baked; of a view texture's rounding: what it "
     "changes of the radiance, over the same; of a view texture: what its lookup changes of the "
-    "BRDF's terms, over all pairs of directions with weight cos² cos², over these terms",
+    "BRDF's terms, over all pairs of directions with weight cos² cos², over these terms; of what "
+    "is left out for its bytes: what columns that max_bytes had no room for add to the error",
     "fit_light": "what the light leaves of the environment, over the sphere, over the environment",
 }
 """Norm and denominator of each stage's own errors; all are ratios of squared radiance."""
