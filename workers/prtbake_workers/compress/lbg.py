@@ -14,15 +14,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
-from prtbake_workers.compress.clusters import (
-    members_by_cluster,
-    refill_empty_clusters,
-    squared_distances,
-    weighted_mean,
-)
+from prtbake_workers.compress.clusters import refill_empty_clusters
 from prtbake_workers.compress.coherence import ClusterPlaces, Coherence, cheapest_clusters
 from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
 from prtbake_workers.compress.monotone import ObjectiveTrace
+from prtbake_workers.compress.moving_means import MovingMeans
+from prtbake_workers.compress.nearest_means import NearestMeans, centred_means
 from prtbake_workers.compress.parallel import map_in_order
 from prtbake_workers.compress.progress import Progress, no_progress
 
@@ -122,25 +119,32 @@ def lbg(
 
     Notes
     -----
-    One matrix product ranks the means for all vertices; a vertex moves only when its squared
-    distance, taken as the difference itself, falls.  So rounding in the product moves nobody, and
-    the objective never rises, but with coherence: then a vertex may go farther in the signal.
+    A vertex moves only when its squared distance, taken as the difference itself, falls
+    (`NearestMeans`).  So rounding moves nobody, and the objective never rises, but with coherence:
+    then a vertex may go farther in the signal.
     """
     if start == "hyper_box":
         means = _means_in_box(signal, n_clusters, rng)
     else:
         means = _seed_means(signal, n_clusters, rng, weights)
     state = Clustering(np.zeros(len(signal), dtype=np.int32), means, np.full(len(signal), np.inf))
-    energy = float(weights @ row_energy_by_chunks(signal))
+    energies = row_energy_by_chunks(signal)
+    energy = float(weights @ energies)
+    nearest = NearestMeans(signal, means, energies)
+    moving = MovingMeans(signal, weights, energies, n_clusters)
     trace = ObjectiveTrace(energy, "LBG", may_rise=coherence is not None)
     unit = float(np.sqrt(energy / weights.sum())) if energy > 0.0 else 1.0
     for iteration in range(max_iterations):
         if coherence is None or iteration == 0:
-            n_moved = _classify(signal, state)
+            n_moved = nearest.move(state.labels, state.squared_distances, state.means)
         else:
             n_moved = _classify_coherently(signal, state, coherence, unit)
-        refill_empty_clusters(signal, state.labels, state.squared_distances, weights, n_clusters)
-        _update_means(signal, state, weights)
+        filled = refill_empty_clusters(
+            signal, state.labels, state.squared_distances, weights, n_clusters
+        )
+        for cluster, _ in filled:
+            state.squared_distances[state.labels == cluster] = np.inf
+        moving.update(state.labels, state.means, state.squared_distances)
         if improve is not None:
             n_moved += improve(signal, state, weights)
         trace.append(float(weights @ state.squared_distances))
@@ -198,30 +202,12 @@ def _seed_means(
     return signal[sample[chosen]]
 
 
-def _classify(signal: Float32[F32, "verts dims"], state: Clustering) -> int:
-    """Move each vertex to its nearest mean; return how many moved."""
-    centred, constant, _ = _centred(state.means)
-
-    def move(chunk: slice) -> int:
-        rows = signal[chunk]
-        proposed = np.argmin(constant - 2.0 * (rows @ centred.T), axis=1).astype(np.int32)
-        labels, best = state.labels[chunk], state.squared_distances[chunk]
-        movers = np.flatnonzero((proposed != labels) | np.isinf(best))
-        distance = row_energy(rows[movers] - state.means[proposed[movers]])
-        nearer = distance < best[movers]
-        movers, distance = movers[nearer], distance[nearer]
-        labels[movers] = proposed[movers]
-        best[movers] = distance
-        return len(movers)
-
-    return sum(map_in_order(move, row_chunks(signal)))
-
-
 def _classify_coherently(
     signal: Float32[F32, "verts dims"], state: Clustering, coherence: Coherence, unit: float
 ) -> int:
     """Move each vertex to the cluster that costs it least, near in signal and on the mesh."""
-    centred, constant, offset = _centred(state.means)
+    offset = state.means.mean(axis=0, dtype=np.float64).astype(np.float32)
+    centred, constant, _ = centred_means(state.means, offset)
     places = ClusterPlaces(coherence, state.labels, len(state.means))
 
     def move(chunk: slice) -> int:
@@ -236,35 +222,3 @@ def _classify_coherently(
         return len(movers)
 
     return sum(map_in_order(move, row_chunks(signal)))
-
-
-def _centred(
-    means: Float32[F32, "clusters dims"],
-) -> tuple[Float32[F32, "clusters dims"], Float64[F64, " clusters"], Float32[F32, " dims"]]:
-    """Return means m about their own mean o, the means' part of squared distances, and o.
-
-    |x - m|^2 = |x - o|^2 - 2 x.(m - o) + (|m - o|^2 + 2 o.(m - o)): the first term is the vertex's
-    own, the last the means' part.
-    """
-    offset = means.mean(axis=0, dtype=np.float64).astype(np.float32)
-    centred = means - offset
-    return centred, row_energy(centred) + 2.0 * (centred.astype(np.float64) @ offset), offset
-
-
-def _update_means(
-    signal: Float32[F32, "verts dims"], state: Clustering, weights: Float64[F64, " verts"]
-) -> None:
-    """Set every mean to that of its members, and the distances to match."""
-    members_of = members_by_cluster(state.labels, len(state.means))
-
-    def update(cluster: int) -> None:
-        members = members_of[cluster]
-        if len(members) == 0:
-            state.means[cluster] = 0.0
-            return
-        rows = signal[members]
-        mean = weighted_mean(rows, weights[members])
-        state.means[cluster] = mean
-        state.squared_distances[members] = squared_distances(rows, mean)
-
-    map_in_order(update, range(len(members_of)))

@@ -1,0 +1,99 @@
+"""Means brought up to date are those summed anew, whatever moved in between."""
+
+import numpy as np
+import pytest
+
+from prtbake_workers.compress.energy import row_energy
+from prtbake_workers.compress.moving_means import MovingMeans, weighted_sum
+
+
+def _oracle(signal, labels, weights, n_clusters):
+    means = np.zeros((n_clusters, signal.shape[1]))
+    for cluster in range(n_clusters):
+        own = labels == cluster
+        if own.any():
+            share = weights[own] if weights[own].any() else np.ones(own.sum())
+            means[cluster] = np.average(signal[own].astype(float), axis=0, weights=share)
+    return means
+
+
+def _moving(signal, weights, n_clusters):
+    means = np.zeros((n_clusters, signal.shape[1]), np.float32)
+    return MovingMeans(signal, weights, row_energy(signal), n_clusters), means
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_means_and_distances_follow_the_members(rng, weighted):
+    signal = (rng.standard_normal((600, 37)) + 2.0).astype(np.float32)
+    weights = rng.random(600) if weighted else np.ones(600)
+    moving, means = _moving(signal, weights, 11)
+    labels = rng.integers(0, 11, 600).astype(np.int32)
+    distances = np.full(600, np.inf)
+    for share in (1.0, 0.3, 0.05, 0.01, 0.0):
+        movers = rng.random(600) < share
+        labels[movers] = rng.integers(0, 11, movers.sum())
+        distances[movers] = np.inf
+        moving.update(labels, means, distances)
+        expected = _oracle(signal, labels, weights, 11)
+        # float64 sums, rounded once to float32
+        np.testing.assert_allclose(means, expected, rtol=1.3e-7, atol=1e-12)
+        exact = np.sum((signal.astype(float) - means[labels]) ** 2, axis=1)
+        np.testing.assert_allclose(distances, exact, rtol=1e-6)
+    assert not np.allclose(means, _oracle(signal, np.roll(labels, 1), weights, 11), rtol=1e-3)
+
+
+def test_a_huge_row_that_leaves_takes_no_digits_along(rng):
+    """1e12 beside 1e-6: float64 leaves nothing of the others when it is taken away."""
+    signal = (1e-6 * rng.standard_normal((100, 5))).astype(np.float32)
+    signal[0] = 1e12
+    moving, means = _moving(signal, np.ones(100), 2)
+    labels, distances = np.zeros(100, np.int32), np.full(100, np.inf)
+    moving.update(labels, means, distances)
+    labels[0], distances[0] = 1, np.inf
+    moving.update(labels, means, distances)
+    np.testing.assert_allclose(means[0], signal[1:].mean(axis=0, dtype=float), rtol=1e-6)
+    plain = weighted_sum(signal, np.ones(100)) - signal[0].astype(float)
+    assert not plain.any()
+
+
+def test_members_that_are_the_same_are_at_their_mean(rng):
+    row = rng.standard_normal(300).astype(np.float32)
+    signal = np.concatenate([np.tile(row, (50, 1)), rng.standard_normal((50, 300), np.float32)])
+    moving, means = _moving(signal, rng.random(100) + 0.1, 2)
+    labels, distances = np.zeros(100, np.int32), np.full(100, np.inf)
+    moving.update(labels, means, distances)
+    labels[80:] = 1
+    moving.update(labels, means, distances)
+    labels[50:] = 1
+    moving.update(labels, means, distances)
+    assert means[0].tobytes() == row.tobytes()
+    np.testing.assert_array_equal(distances[:50], 0.0)
+    assert np.all(distances[50:] > 0.0)
+
+
+def test_empty_clusters_and_those_of_no_weight(rng):
+    signal = rng.standard_normal((20, 4)).astype(np.float32)
+    weights = np.where(np.arange(20) < 10, 1.0, 0.0)
+    moving, means = _moving(signal, weights, 3)
+    labels = np.repeat(np.array([0, 1], np.int32), 10)
+    distances = np.full(20, np.inf)
+    moving.update(labels, means, distances)
+    np.testing.assert_allclose(means, _oracle(signal, labels, weights, 3), rtol=1e-6)
+    assert not means[2].any()
+    labels[10:] = 2
+    distances[10:] = np.inf
+    moving.update(labels, means, distances)
+    assert not means[1].any()
+    np.testing.assert_allclose(means[2], signal[10:].mean(axis=0), rtol=1e-5, atol=1e-7)
+
+
+def test_a_mean_that_somebody_else_set_is_set_right(rng):
+    signal = rng.standard_normal((40, 6)).astype(np.float32)
+    moving, means = _moving(signal, np.ones(40), 2)
+    labels, distances = np.repeat(np.array([0, 1], np.int32), 20), np.full(40, np.inf)
+    moving.update(labels, means, distances)
+    expected, measured = means.copy(), distances.copy()
+    means += 1.0
+    moving.update(labels, means, distances)
+    np.testing.assert_array_equal(means, expected)
+    np.testing.assert_array_equal(distances, measured)

@@ -1,0 +1,97 @@
+"""Bounds leave out distances, never a nearer mean."""
+
+import numpy as np
+import pytest
+
+from prtbake_workers.compress import nearest_means
+from prtbake_workers.compress.energy import row_energy
+from prtbake_workers.compress.nearest_means import NearestMeans, centred_means
+
+
+def _start(signal, means):
+    near = NearestMeans(signal, means, row_energy(signal))
+    labels, best = np.zeros(len(signal), np.int32), np.full(len(signal), np.inf)
+    near.move(labels, best, means)
+    return near, labels, best
+
+
+def _exact(signal, means):
+    return np.sum((signal[:, None].astype(float) - means[None].astype(float)) ** 2, axis=2)
+
+
+def _measured(signal, labels, means):
+    return row_energy(signal - means[labels])
+
+
+@pytest.mark.parametrize("constant", [0.0, 300.0])
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+def test_everyone_is_at_its_nearest_mean_as_means_drift(rng, scale, constant):
+    signal = ((rng.standard_normal((400, 20)) + constant) * scale).astype(np.float32)
+    means = signal[:15].copy()
+    near, labels, best = _start(signal, means)
+    for step in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
+        means += (step * scale * rng.standard_normal(means.shape)).astype(np.float32)
+        best[:] = _measured(signal, labels, means)
+        near.move(labels, best, means)
+        exact = _exact(signal, means)
+        own = exact[np.arange(len(signal)), labels]
+        # a tie to float32: differences of numbers as large as the constant
+        slack = 1e-5 * own + (1e-6 * scale * max(1.0, constant)) ** 2 * 20
+        assert np.all(own <= exact.min(axis=1) + slack)
+        np.testing.assert_array_equal(best, _measured(signal, labels, means))
+
+
+def test_bounds_change_nobodys_cluster(rng, monkeypatch):
+    signal = (rng.standard_normal((500, 12)) + 5.0).astype(np.float32)
+    means = signal[:9].copy()
+    drifts = [0.5, 0.1, 0.02, 0.02, 0.0]
+
+    def run():
+        noise, own = np.random.default_rng(1), means.copy()
+        near, labels, best = _start(signal, own)
+        found = [labels.copy()]
+        for step in drifts:
+            own += (step * noise.standard_normal(own.shape)).astype(np.float32)
+            best[:] = _measured(signal, labels, own)
+            near.move(labels, best, own)
+            found.append(labels.copy())
+        return np.array(found)
+
+    bounded = run()
+    monkeypatch.setattr(nearest_means, "MOST_BOUND_BYTES", 0)
+    np.testing.assert_array_equal(bounded, run())
+    assert np.any(bounded[0] != bounded[-1])
+
+
+def test_vertices_that_stay_cost_no_product(rng):
+    """Blobs far apart: after a small drift nobody's bounds allow another mean."""
+    centres = 50.0 * rng.standard_normal((6, 8))
+    signal = (np.repeat(centres, 30, axis=0) + rng.standard_normal((180, 8))).astype(np.float32)
+    means = centres.astype(np.float32)
+    near, labels, best = _start(signal, means)
+    assert len(near._active(slice(0, 180), labels, best)) == 0
+    near._gone = near._gone + 1e3
+    assert len(near._active(slice(0, 180), labels, best)) == 180
+
+
+def test_a_mean_that_jumps_onto_a_vertex_takes_it(rng):
+    signal = rng.standard_normal((200, 10)).astype(np.float32)
+    means = np.concatenate([signal[:4], np.full((1, 10), 100.0, np.float32)])
+    near, labels, best = _start(signal, means)
+    assert not np.any(labels == 4)
+    means[4] = signal[77]
+    near.move(labels, best, means)
+    assert labels[77] == 4
+    assert best[77] == 0.0
+
+
+def test_centred_means_give_distances_up_to_the_vertex_own(rng):
+    signal = rng.standard_normal((30, 7)).astype(np.float32)
+    means = rng.standard_normal((5, 7)).astype(np.float32)
+    origin = means.mean(axis=0)
+    about = centred_means(means, origin)
+    own = np.sum((signal.astype(float) - origin) ** 2, axis=1)[:, None]
+    found = own + about.constant - 2.0 * signal @ about.centred.T
+    # float32 products of numbers near 1
+    np.testing.assert_allclose(found, _exact(signal, means), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(about.lengths, np.linalg.norm(means - origin, axis=1), rtol=1e-6)
