@@ -80,7 +80,7 @@ targets: setup ## Hold errors asked of compression against delivered files, into
 
 sloan: setup ## Redo the clustered PCA of Sloan's paper, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
-	$(BIN)/python tests/measured/sloan.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/sloan.py
 
 chen: setup ## Chen's tables of overdraw anew, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }

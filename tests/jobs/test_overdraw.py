@@ -22,7 +22,7 @@ from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.jobs.compress import standalone_stages
-from prtbake_workers.jobs.report import gather, write
+from prtbake_workers.jobs.report import gather, summary, write
 from support.grid_mesh import sphere_faces
 from support.local_stages import run_stages
 from synthetic_transfer import equal_area_directions, synthetic_transfer
@@ -94,6 +94,12 @@ def test_every_asset_states_its_overdraw(plain, tuned):
         for index, result in enumerate(results["compress"]):
             assert result["overdraw"] == pytest.approx(asset.overdraw_of(index))
             assert 1.0 < result["overdraw"] < 3.0
+        # all parts together, triangle by triangle
+        labels = np.concatenate(
+            [100 * index + part.labels for index, part in enumerate(asset.parts)]
+        )
+        drawn = np.mean([len(set(corners)) for corners in labels[asset.faces].tolist()])
+        assert results["quantise"][0]["overdraw"] == pytest.approx(drawn)
 
 
 def test_fewer_draws_for_at_most_the_budget(plain, tuned):
@@ -119,6 +125,17 @@ def test_index_buffers_are_in_the_asset_where_they_were_asked_for(plain, tuned):
     assert "registers" not in plain[1].provenance["compress"]
 
 
+def test_report_and_result_say_it_of_every_asset(store, tmp_path, plain, tuned):
+    for results, asset in (plain, tuned):
+        written = write(gather("compress", results), TaskContext(store, tmp_path, lambda _: None))
+        result = summary({"report": [written]})
+        assert result["overdraw"] == pytest.approx(asset.overdraw)
+        assert f"a triangle is drawn {asset.overdraw:.2f} times" in result["summary"]
+        for index, part in enumerate(result["parts"]):
+            assert part["overdraw"] == results["compress"][index]["overdraw"]
+        assert f"{asset.overdraw_of(0):.2f} times" in store.read_bytes(written["html"]).decode()
+
+
 def test_the_report_says_it_of_each_part(store, tmp_path, tuned):
     results, _ = tuned
     written = write(gather("compress", results), TaskContext(store, tmp_path, lambda _: None))
@@ -138,6 +155,17 @@ def test_alpha_zero_is_the_file_without_coherence(store, transfer, plain):
     assert factors != [result["factors"] for result in other["compress"]]
 
 
-def test_registers_that_hold_no_cluster_are_refused(store, transfer):
-    with pytest.raises(SettingsError, match=r"registers is 2: cluster \d+ takes 4"):
-        _run(store, transfer, registers=2)
+def test_registers_that_hold_no_cluster_are_refused_by_planning(store, transfer):
+    (plan, *_) = standalone_stages(transfer, CompressSettings(**PLAIN, registers=3), 1)
+    with pytest.raises(SettingsError, match="registers is 3: a cluster of object takes 4"):
+        run_stages([plan], store)
+
+
+def test_ranks_that_were_searched_are_held_against_registers_after_the_fit(store, transfer):
+    settings = CompressSettings(
+        max_iterations=2, n_clusters=10, method="cpca", max_error=0.02, registers=2
+    )
+    stages = standalone_stages(transfer, settings, 1)[:2]
+    assert [stage.name for stage in stages] == ["plan", "compress"]
+    with pytest.raises(SettingsError, match=r"registers is 2: cluster \d+ takes"):
+        run_stages(stages, store)

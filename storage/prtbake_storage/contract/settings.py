@@ -217,7 +217,8 @@ class CompressSettings(Wire):
     coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
     """What a vertex pays for being a box diagonal off its cluster on the mesh, in root mean square
     norms of the signal; null and 0 leave places aside, 0.05 is Chen's.  Where clusters have bases
-    (tensors, `iterative` and `adaptive` classification) a vertex moves only if its error falls too."""
+    (tensors, `iterative` and `adaptive` classification), a vertex moves only if its error falls
+    too."""
     overdraw_budget: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     """Share of the squared error that moving vertices to neighbours' clusters may add where that
     saves draws; null moves none, 0.05 is Sloan's."""

@@ -245,6 +245,13 @@ class Asset:
         """Triangles of a part that are drawn a cluster at a time, over its triangles: 1 to 3."""
         return average_overdraw(self.faces_of(index), self.parts[index].labels)
 
+    @property
+    def overdraw(self) -> float:
+        """`overdraw_of` all parts together: triangles drawn over triangles, 1 without any."""
+        triangles = [len(self.faces_of(index)) for index in range(len(self.parts))]
+        drawn = sum(self.overdraw_of(index) * count for index, count in enumerate(triangles))
+        return drawn / sum(triangles) if any(triangles) else 1.0
+
     @cached_property
     def opposite(self) -> I64 | None:
         """(tris,) copy of each triangle on its other side, -1 for none; None where all are."""

@@ -147,7 +147,7 @@ class CoherentMoves:
     def cost(
         self, verts: NDArray[Any], cluster: int, errors: Float64[F64, " some"]
     ) -> Float64[F64, " some"]:
-        """Return E of vertices in a cluster that they are not in, with their squared errors there."""
+        """Return E of vertices in a cluster that is not theirs, from their squared errors there."""
         distances = np.sqrt(np.maximum(errors, 0.0)) / self.unit
         return np.asarray(distances + self.places.cost(verts, cluster), dtype=np.float64)
 

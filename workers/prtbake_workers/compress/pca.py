@@ -104,9 +104,7 @@ class Principal:
             self.squared_norm = float(self.weights @ row_energy_by_chunks(self.signal))
             self.about_mean = float(self.weights @ squared_distances(self.signal, self.mean))
 
-    def model(
-        self, n_components: int, *, seed: int, progress: Progress = no_progress
-    ) -> CpcaModel:
+    def model(self, n_components: int, *, seed: int, progress: Progress = no_progress) -> CpcaModel:
         """Return the model of so many components; see `compress_pca`."""
         x, mean = self.signal, self.mean
         n_verts, n_dims = x.shape
@@ -147,7 +145,7 @@ class Principal:
         )
 
     def _rows(self, rank: int) -> Float32[F32, "kept dims"]:
-        """Return the leading right singular vectors of root_weights (x - mean), at its true rank."""
+        """Return the leading right singular vectors of the weighted x - mean, at its true rank."""
         n_verts, n_dims = self.signal.shape
         tall = n_verts >= n_dims
         length, size = (n_verts, n_dims) if tall else (n_dims, n_verts)

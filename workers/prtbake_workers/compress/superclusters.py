@@ -65,7 +65,7 @@ def make_superclusters(
     SettingsError
         A cluster alone takes more than there are, with the cluster and both numbers.
     """
-    _check(needs, registers)
+    check_registers(needs, registers)
     corners = labels[faces[triangle_overdraw(faces, labels) > 1]]
     sizes = np.bincount(labels, minlength=len(needs))
     found = [
@@ -195,7 +195,14 @@ def _packed(
     return of_group[owner]
 
 
-def _check(needs: Int32[I32, " clusters"], registers: int) -> None:
+def check_registers(needs: Int32[I32, " clusters"], registers: int) -> None:
+    """Refuse clusters that alone take more registers than there are.
+
+    Raises
+    ------
+    SettingsError
+        With the first such cluster and both numbers.
+    """
     over = np.flatnonzero(needs > registers)
     if over.size:
         raise SettingsError(

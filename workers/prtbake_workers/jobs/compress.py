@@ -21,7 +21,11 @@ from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.coherence import coherence_of
 from prtbake_workers.compress.methods import Fit, compress
-from prtbake_workers.compress.superclusters import make_superclusters, registers_of_clusters
+from prtbake_workers.compress.superclusters import (
+    check_registers,
+    make_superclusters,
+    registers_of_clusters,
+)
 from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
@@ -30,6 +34,7 @@ from prtbake_workers.jobs.sized import check_bytes, write_sized
 from prtbake_workers.planning.byte_budget import sized_to_bytes
 from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
+from prtbake_workers.planning.registers import check_planned_registers
 from prtbake_workers.planning.stage_work import compress_work, quantise_work, total
 from prtbake_workers.planning.uncounted import uncounted
 
@@ -157,8 +162,8 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 def compressions_of(header: TransferHeader, settings: CompressSettings) -> list[PartCompression]:
-    """Choose method, clusters and ranks of each part."""
-    return [
+    """Choose method, clusters and ranks of each part; refuse what registers cannot hold."""
+    found = [
         resolve_compression(
             settings,
             "medium",
@@ -170,6 +175,11 @@ def compressions_of(header: TransferHeader, settings: CompressSettings) -> list[
         )
         for part in header.parts
     ]
+    for part, own in zip(header.parts, found, strict=True):
+        check_planned_registers(
+            settings, part.name, own, n_verts=part.n_vertices, n_terms=part.n_terms
+        )
+    return found
 
 
 def work_of(
@@ -263,6 +273,12 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     else:
         compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])
     model = compressed.model
+    if draws.get("registers") is not None:
+        # planning knows neither ranks that are searched nor those of adaptive classification
+        needs = registers_of_clusters(
+            compressed.factors["ranks"], with_mean="means" in compressed.factors
+        )
+        check_registers(needs, draws["registers"])
     header = {"method": compression.method}
     path = write_bundle(context.scratch / "factors.h5", compressed.factors, header)
     return {
@@ -337,6 +353,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "exact": context.store.put_file(exact_path, move=True),
         "bytes": size,
         "groups": rounded.asset.nbytes,
+        "overdraw": exact.overdraw,
         "precision": [asdict(part.precision) for part in rounded.asset.parts if part.precision],
         "superclusters": [
             None

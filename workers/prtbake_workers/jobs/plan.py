@@ -41,6 +41,7 @@ from prtbake_workers.planning.light_resolution import choose_light_resolution
 from prtbake_workers.planning.plan import check_bandwidth, make_plan, occluders_of
 from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.registers import check_planned_registers
 from prtbake_workers.planning.resolution import resolution_of
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_memory import Lobe
@@ -256,6 +257,15 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         view_dependent=view_dependent,
     )
     plan = replace(own, ladder=steps, resolution=resolution)
+    for part in plan.parts:
+        start, stop = part.vertex_range
+        check_planned_registers(
+            settings.compress,
+            part.name,
+            part.compression,
+            n_verts=stop - start,
+            n_terms=part.n_terms,
+        )
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan
 

@@ -64,6 +64,7 @@ def gather(
             for part in results.get("compress", [])
         ],
         "precision": results["quantise"][0]["precision"] if "quantise" in results else [],
+        "overdraw": results["quantise"][0]["overdraw"] if "quantise" in results else None,
         "superclusters": results["quantise"][0]["superclusters"] if "quantise" in results else [],
         "asset_notes": results["quantise"][0]["notes"] if "quantise" in results else [],
         "views": [view for camera in results.get("validate", []) for view in camera["views"]],
@@ -196,6 +197,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         ladder=args["ladder"],
         frontier=own_frontier,
         notes=notes,
+        overdraw=args["overdraw"],
     )
     pictures = {
         picture["name"]: context.store.read_bytes(picture["digest"])
@@ -278,6 +280,6 @@ def summary(results: Results) -> dict[str, Any]:
     (written,) = results["report"]
     report = written["report"]
     names = ("summary", "errors", "budget", "bytes", "seconds", "effects", "metrics", "parts",
-             "peak_memory_bytes", "renderer", "transfer", "numerics", "counters",
+             "overdraw", "peak_memory_bytes", "renderer", "transfer", "numerics", "counters",
              "notes")  # fmt: skip
     return {name: report[name] for name in names}

@@ -144,8 +144,12 @@ def make_report(
     ladder: Sequence[Mapping[str, Any]] = (),
     frontier: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    overdraw: float | None = None,
 ) -> dict[str, Any]:
-    """Put the account together; every key is there whatever the job did."""
+    """Put the account together; every key is there whatever the job did.
+
+    ``overdraw`` is that of all parts of the asset together, None where none was made.
+    """
     budget = pooled_budget(views) if views else None
     seconds = sum(stage.seconds for stage in stages)
     peak = max((stage.peak_memory_bytes for stage in stages), default=0)
@@ -165,6 +169,8 @@ def make_report(
             else f" Over {shown} pictures{unseen} the delivered asset is "
             f"{100 * budget['total']:.2g} % from the reference (relative L2){noisy}."
         )
+    if overdraw is not None:
+        summary += f" A cluster at a time, a triangle is drawn {overdraw:.2f} times on average."
     return {
         "title": title,
         "summary": summary,
@@ -177,6 +183,7 @@ def make_report(
         "bytes": dict(sizes or {}),
         "peak_memory_bytes": peak,
         "parts": list(parts),
+        "overdraw": overdraw,
         "effects": list(effects),
         "bounces": dict(bounces) if bounces else None,
         "budget": budget,
