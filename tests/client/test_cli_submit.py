@@ -28,6 +28,20 @@ def test_submit_takes_settings(run: Run, service: LiveService, environment: str)
     assert (job["label"], job["request"]["seed"]) == ("cli", 5)
 
 
+def test_lights_are_added_and_scaled(run: Run, environment: str) -> None:
+    words = ("submit", "fit-light", "--environment", environment, "--add-light")
+    made = run(*words, f"0.5*{environment}", "--add-light", environment, "-o", "json")
+    assert made.exit_code == 0, made.output
+    lights = json.loads(made.stdout)["request"]["lights"]
+    assert [(light["environment"], light["scale"]) for light in lights] == [
+        (environment, 0.5),
+        (environment, 1.0),
+    ]
+    wrong = run(*words, f"half*{environment}")
+    assert wrong.exit_code == 2
+    assert "half is no number" in " ".join(wrong.stderr.split())
+
+
 def test_submit_asset_from_words(
     run: Run, service: LiveService, environment: str, tmp_path: Path
 ) -> None:

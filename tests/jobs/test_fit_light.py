@@ -8,12 +8,15 @@ from pydantic import ValidationError
 
 from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
 from prtbake_storage.decode.light import HarmonicLight, LightFit, WaveletLight
-from prtbake_storage.errors import SettingsError
+from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.hdf5.light import read_light
 from prtbake_workers.environment.light_error import squared_error_ratio
 from prtbake_workers.environment.subdivision import fine_texels
 from prtbake_workers.jobs import fit_light, render, report
-from prtbake_workers.jobs.inputs import load_environment
+from prtbake_workers.jobs.lights import light_source, load_light
+from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.jobs.validate import check_kinship
+from prtbake_workers.jobs.work import n_texels
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.stage_work import fit_work
 from prtbake_workers.validation.chain import validate_camera
@@ -60,7 +63,7 @@ def test_a_job_leaves_a_light_of_its_method(store, environment, fitted, method):
     assert light.provenance["settings"] == {"method": method, **settings}
     assert result["errors"]["light"] == light.error
     # against the map cut finer than any of the fits cut it
-    fine = fine_texels(load_environment(store, environment), 0.006)
+    fine = fine_texels(load_light(store, environment), 0.006)
     # the sun of one texel: its edges lie between samples, of the fit's and of these
     assert squared_error_ratio(light, fine) == pytest.approx(light.error, rel=0.08)
     assert 0.0 < light.error < 1.0
@@ -100,6 +103,69 @@ def test_the_report_tells_what_a_light_is(store, environment, method):
     assert numerics["light_method"] == method
     assert numerics["light_numbers"] == numbers
     assert ("lobes" in numerics) == method.startswith("srbf")
+
+
+@pytest.fixture(scope="module")
+def hall(store):
+    return registered(store, "environment", builtin={"name": "hall", "width": 32})["canonical"]
+
+
+def context_of_lights(environment, hall, **light):
+    return {
+        "environment": {"canonical": environment, "understood": {"width": 64, "height": 32}},
+        "lights": [
+            {"canonical": hall, "understood": {"width": 32, "height": 16}, "scale": 1.0,
+             "rotation_deg": [0.0, 0.0, 0.0]} | light,
+        ],
+    }  # fmt: skip
+
+
+def test_several_lights_are_fitted_as_one(store, environment, hall):
+    """Harmonics are linear in the light: their sum is the fit of the sum, up to its smaller map."""
+    context = context_of_lights(environment, hall, scale=0.5)
+    request = {"kind": "fit_light", "environment": f"environment-{'0' * 16}"}
+    request["settings"] = {"method": "sh", "sh_order": 6}
+    results = run_stages(REGISTRY.stages("fit_light", request, context), store)
+    (result,) = results["fit_light"]
+    both = read_light(store.local_path(result["light"]))
+    apart = [
+        run_stages(
+            fit_light.stages(digest, FitLightSettings(method="sh", sh_order=6), 0), store
+        )["fit_light"][0]
+        for digest in (environment, hall)
+    ]  # fmt: skip
+    first, second = (read_light(store.local_path(one["light"])).coefficients for one in apart)
+    # each is integrated in samples of its own map, the hall's in coarser ones; 3e-5 was seen
+    scale = np.abs(both.coefficients).max()
+    assert np.allclose(both.coefficients, first + 0.5 * second, rtol=0.0, atol=2e-4 * scale)
+    assert not np.allclose(both.coefficients, first + second, rtol=0.0, atol=1e-2 * scale)
+    assert result["notes"][0].startswith("2 environments shine together")
+    assert any("2 environments" in note for note in report.summary(results)["notes"])
+    assert n_texels(context) == 64 * 32
+
+
+def test_a_reference_of_other_lights_is_refused(store, glossy_asset, environment, hall):
+    source = light_source(context_of_lights(environment, hall))
+    (result,) = run_stages(fit_light.stages(source, FitLightSettings(n_lobes=4), 0), store)[
+        "fit_light"
+    ]
+    *_, results = glossy_asset
+    stored = {
+        "asset": results["quantise"][0]["asset"],
+        "transfer": results["join"][0]["transfer"],
+        "light": result["light"],
+    }
+    check_kinship(stored | {"environment": source}, store)
+    dimmer = light_source(context_of_lights(environment, hall, scale=0.9))
+    for other in (environment, dimmer):
+        with pytest.raises(InputError, match="fitted to another environment"):
+            check_kinship(stored | {"environment": other}, store)
+
+
+def test_one_light_is_named_as_before(environment):
+    """Its tasks are those of files that are there."""
+    context = {"environment": {"canonical": environment}}
+    assert light_source(context) == light_source(context | {"lights": []}) == environment
 
 
 def test_a_target_is_met_and_told(store, environment):

@@ -34,6 +34,23 @@ def test_context_of_an_asset(service: LiveService, http, mesh: str, environment:
     assert context["albedo_texture"] == texture
 
 
+def test_context_of_several_lights(service: LiveService, http, environment: str) -> None:
+    added = {"environment": environment, "scale": 0.5, "rotation_deg": [0.0, 90.0, 0.0]}
+    body = {"kind": "fit_light", "environment": environment, "lights": [added]}
+    job = http.post("/v1/jobs", json=body).json()
+    context = context_of(service.backend.database, job["id"])
+    (light,) = context["lights"]
+    assert light["canonical"] == context["environment"]["canonical"]
+    assert (light["scale"], light["rotation_deg"]) == (0.5, [0.0, 90.0, 0.0])
+    missing = added | {"environment": "environment-00000000000000ff"}
+    answer = http.post("/v1/jobs", json=body | {"lights": [added, missing]})
+    assert (answer.status_code, answer.json()["pointer"]) == (404, "/lights/1/environment")
+    for wrong in ({"scale": 0.0}, {"scale": -1.0}, {"rotation_deg": [0.0]}, {"factor": 2.0}):
+        answer = http.post("/v1/jobs", json=body | {"lights": [added | wrong]})
+        assert answer.status_code == 422
+        assert answer.json()["pointer"].startswith("/lights/0/")
+
+
 def test_context_of_artefacts(service: LiveService, http, submit) -> None:
     job = submit()
     service.succeed(job["id"], {}, transfer_h5=b"T")

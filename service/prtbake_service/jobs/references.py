@@ -67,22 +67,21 @@ class Resolver:
         dict
             ``mesh`` and ``environment``: id, canonical digest, understood; ``brdf``: id, canonical
             digest and spec (the first two None for a BRDF given in the request); ``materials``:
-            as much of each one's BRDF, by group; ``artefacts``: digest, job and name by role;
-            ``albedo_texture``: digest or None.  Of a study ``contexts``, which differ, and
-            ``points``: of each the place of its context, or why it is refused.  Of a calibration a
-            ``nonce``, which no other has.
+            as much of each one's BRDF, by group; ``lights``, if there are any: what
+            ``environment`` holds, ``scale`` and ``rotation_deg`` of each; ``artefacts``: digest,
+            job and name by role; ``albedo_texture``: digest or None.  Of a study ``contexts``,
+            which differ, and ``points``: of each the place of its context, or why it is refused.
+            Of a calibration a ``nonce``, which no other has.
         """
         match request:
             case BakeRequest():
                 return self._scene(request)
             case AssetRequest():
-                return self._scene(request) | {
-                    "environment": self._resource("environment", request.environment)
-                }
+                return self._scene(request) | self._lights(request)
             case CompressRequest():
                 return {"artefacts": self._artefacts(transfer=request.transfer)}
             case FitLightRequest():
-                return {"environment": self._resource("environment", request.environment)}
+                return self._lights(request)
             case RenderRequest():
                 return {"artefacts": self._artefacts(asset=request.asset, light=request.light)}
             case ValidateRequest():
@@ -93,10 +92,7 @@ class Resolver:
                 }
                 if request.exact is not None:
                     references["exact"] = request.exact
-                return {
-                    "artefacts": self._artefacts(**references),
-                    "environment": self._resource("environment", request.environment),
-                }
+                return {"artefacts": self._artefacts(**references)} | self._lights(request)
             case CalibrateRequest():
                 return {"nonce": secrets.randbelow(MOST_NONCE)}
             case StudyRequest():
@@ -153,6 +149,16 @@ class Resolver:
             "materials": materials,
             "albedo_texture": request.albedo_texture,
         }
+
+    def _lights(self, request: AssetRequest | FitLightRequest | ValidateRequest) -> Context:
+        found: Context = {"environment": self._resource("environment", request.environment)}
+        if request.lights:
+            found["lights"] = [
+                light.model_dump(mode="json", exclude={"environment"})
+                | self._resource("environment", light.environment, f"/lights/{place}/environment")
+                for place, light in enumerate(request.lights)
+            ]
+        return found
 
     def _material(
         self,

@@ -14,7 +14,7 @@ from pydantic import (
     field_validator,
 )
 
-from prtbake_storage.contract.base import Digest, Label, ResourceId, Wire
+from prtbake_storage.contract.base import Digest, Label, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 from prtbake_storage.contract.materials import Materials, Subsurface, Tangents
 from prtbake_storage.contract.settings import (
@@ -71,6 +71,16 @@ class _Submission(Wire):
     timeout_s: Annotated[int, Field(ge=1, le=7 * 86400)] | None = None
 
 
+class AddedLight(Wire):
+    """A further environment that shines together with the request's own."""
+
+    environment: ResourceId
+    scale: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
+    """Of its radiance."""
+    rotation_deg: Vec3 = (0.0, 0.0, 0.0)
+    """Turns about x, y and z, as at registration; the light is then resampled."""
+
+
 class _Request(_Submission):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
@@ -108,11 +118,16 @@ class CompressRequest(_Request):
     settings: CompressSettings = CompressSettings()
 
 
-class FitLightRequest(_Request):
-    """Fit an environment: gives ``light.h5``."""
+class _LitRequest(_Request):
+    environment: ResourceId
+    lights: Annotated[list[AddedLight], Field(max_length=8)] = Field(default_factory=list)
+    """Further environments, added to that one."""
+
+
+class FitLightRequest(_LitRequest):
+    """Fit an environment, or several that shine together: gives ``light.h5``."""
 
     kind: Literal["fit_light"] = "fit_light"
-    environment: ResourceId
     settings: FitLightSettings = FitLightSettings()
 
 
@@ -125,7 +140,7 @@ class RenderRequest(_Request):
     settings: RenderSettings = RenderSettings()
 
 
-class ValidateRequest(_Request):
+class ValidateRequest(_LitRequest):
     """Hold an asset against the reference: gives pictures, metrics and the error budget."""
 
     kind: Literal["validate"] = "validate"
@@ -134,15 +149,13 @@ class ValidateRequest(_Request):
     """The asset in 32 bits; without it compression and quantisation share a line."""
     transfer: ArtefactRef
     light: ArtefactRef
-    environment: ResourceId
     settings: ValidateSettings = ValidateSettings()
 
 
-class AssetRequest(_SceneRequest):
+class AssetRequest(_SceneRequest, _LitRequest):
     """The main job: bake, compress, fit, render, validate, report."""
 
     kind: Literal["asset"] = "asset"
-    environment: ResourceId
     quality: Quality = "medium"
     settings: AssetSettings = AssetSettings()
 

@@ -5,6 +5,7 @@ from typing import Any
 from prtbake_storage.contract.jobs import AssetRequest
 from prtbake_storage.queue.stages import Results, Stage
 from prtbake_workers.jobs import bake, compress, fit_light, render, validate
+from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.planning.presets import resolve_stages
 
 
@@ -12,7 +13,7 @@ def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     """Bake, compress, fit, render, validate."""
     parsed = AssetRequest.model_validate(request)
     settings = resolve_stages(parsed.quality, parsed.settings)
-    environment = context["environment"]["canonical"]
+    environment = light_source(context)
 
     def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:
         parts = results["plan"][0]["plan"]["parts"]

@@ -35,7 +35,7 @@ from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.jobs import calibrate, study_estimate
 from prtbake_workers.jobs.compress import compressions_of, work_of
-from prtbake_workers.jobs.inputs import load_environment
+from prtbake_workers.jobs.lights import light_source, load_light
 from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.validate import check_kinship, scene_of
 from prtbake_workers.jobs.work import Work, asset_memory, asset_work, n_texels, rates_of
@@ -111,7 +111,7 @@ def predict(
         case CompressRequest():
             return _compress(request.settings, given, store)
         case FitLightRequest():
-            load_environment(store, given["environment"]["canonical"])
+            load_light(store, light_source(given))
             work = {"fit_light": fit_work(request.settings, n_texels=n_texels(given))}
             return _only("fit_light", work, given).model_copy(
                 update={"artefact_bytes": {"light.h5": light_bytes(request.settings)}}
@@ -255,7 +255,7 @@ def _bake_of(basis: TransferBasis) -> PlannedBake:
 def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
     """Check that the artefacts belong together, and predict from the header of the transfer."""
     digests = {name: artefact["digest"] for name, artefact in given["artefacts"].items()}
-    check_kinship(digests | {"environment": given["environment"]["canonical"]}, store)
+    check_kinship(digests | {"environment": light_source(given)}, store)
     with open_transfer(store.local_path(digests["transfer"])) as transfer:
         header = transfer.header
     scene = scene_of(header)

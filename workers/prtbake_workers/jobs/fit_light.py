@@ -16,7 +16,13 @@ from prtbake_workers.environment.light_error import power_ratio
 from prtbake_workers.environment.sh_projection import project_sh, sh_samples
 from prtbake_workers.environment.uniform_srbf import fit_uniform_srbf, uniform_samples
 from prtbake_workers.environment.wavelet_projection import project_wavelet, wavelet_samples
-from prtbake_workers.jobs.inputs import load_environment, versions
+from prtbake_workers.jobs.inputs import versions
+from prtbake_workers.jobs.lights import (
+    LightSource,
+    load_light,
+    load_lights,
+    share_notes,
+)
 
 _MODULE = "prtbake_workers.jobs.fit_light"
 
@@ -34,7 +40,7 @@ class Fit:
     notes: list[str] = field(default_factory=list)
 
 
-def stages(environment: str, settings: FitLightSettings, seed: int) -> list[Stage]:
+def stages(environment: LightSource, settings: FitLightSettings, seed: int) -> list[Stage]:
     """Fit in one task."""
     # without the fields of other methods, whatever those will be
     dumped = settings.model_dump(mode="json", exclude_none=True)
@@ -49,7 +55,9 @@ def stages(environment: str, settings: FitLightSettings, seed: int) -> list[Stag
 def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``light.h5``."""
     settings = FitLightSettings.model_validate(args["settings"])
-    environment = load_environment(context.store, args["environment"])
+    source: LightSource = args["environment"]
+    environment = load_light(context.store, source)
+    shares = [] if isinstance(source, str) else share_notes(load_lights(context.store, source))
     found = fitted(
         environment,
         settings,
@@ -66,7 +74,7 @@ def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "light_numbers": found.numbers,
         "power_ratio": found.power_ratio,
         "errors": {"light": float(found.light.error)},
-        "notes": found.notes,
+        "notes": [*found.notes, *shares],
         **found.account,
     }
 

@@ -7,7 +7,7 @@ from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.brdf import MeasuredSpec, stored_brdf_adapter
 from prtbake_storage.errors import InputError
 from prtbake_storage.hdf5.brdf import BrdfFile, read_brdf
-from prtbake_storage.hdf5.resources import read_environment, read_mesh
+from prtbake_storage.hdf5.resources import read_mesh
 from prtbake_workers.arrays import F32
 from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.half_difference_table import HalfDifferenceTable
@@ -15,7 +15,6 @@ from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.brdf.rgl import RglTensor
 from prtbake_workers.brdf.rgl_oriented import OrientedRglTensor
 from prtbake_workers.brdf.symmetrised import Symmetrised, SymmetrisedOriented
-from prtbake_workers.environment.environment import Environment
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.render.images import read_albedo_texture
 
@@ -35,11 +34,6 @@ def load_mesh(store: BlobStore, digest: str) -> tuple[Mesh, dict[str, Any]]:
         file.group_names,
     )
     return mesh, dict(file.report)
-
-
-def load_environment(store: BlobStore, digest: str) -> Environment:
-    """Load a registered environment."""
-    return Environment(read_environment(store.local_path(digest)).radiance)
 
 
 def load_brdf(store: BlobStore, spec: dict[str, Any]) -> Brdf:

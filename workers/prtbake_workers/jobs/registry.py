@@ -25,6 +25,7 @@ from prtbake_workers.jobs import (
     study,
     validate,
 )
+from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.work import done_work, learnt, rates_of
 from prtbake_workers.planning.presets import StageSettings
 
@@ -44,7 +45,7 @@ def _compress(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
 
 def _fit_light(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = FitLightRequest.model_validate(request)
-    return fit_light.stages(context["environment"]["canonical"], parsed.settings, parsed.seed)
+    return fit_light.stages(light_source(context), parsed.settings, parsed.seed)
 
 
 def _render(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
@@ -57,9 +58,7 @@ def _validate(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = ValidateRequest.model_validate(request)
     given = context["artefacts"]
     inputs = {name: artefact["digest"] for name, artefact in given.items()}
-    return validate.stages(
-        lambda _: inputs, context["environment"]["canonical"], parsed.settings, parsed.seed
-    )
+    return validate.stages(lambda _: inputs, light_source(context), parsed.settings, parsed.seed)
 
 
 KINDS: dict[str, Build] = {

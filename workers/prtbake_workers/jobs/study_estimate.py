@@ -95,7 +95,7 @@ def _shared(stage: str, point: StudyPoint, body: dict[str, Any]) -> str:
         return str(point.index)
     depends = dict(body)
     if stage == "fit_light":
-        depends = {name: body[name] for name in ("environment", "quality", "seed")}
+        depends = {name: body[name] for name in ("environment", "lights", "quality", "seed")}
         depends["settings"] = body["settings"]["fit_light"]
     else:
         dropped = AFTER_BAKING[1:] if stage in ("compress", "quantise") else AFTER_BAKING

@@ -24,7 +24,8 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.mesh import vertex_areas
 from prtbake_workers.geometry.scene import Scene, bodies_of
-from prtbake_workers.jobs.inputs import load_brdf, load_environment
+from prtbake_workers.jobs.inputs import load_brdf
+from prtbake_workers.jobs.lights import LightSource, load_light
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.jobs.scene_file import occluder_accelerator
 from prtbake_workers.render.images import (
@@ -50,7 +51,7 @@ DIFFERENCE_SCALE = 0.25
 
 def stages(
     inputs_of: Callable[[Results], dict[str, Any]],
-    environment: str,
+    environment: LightSource,
     settings: ValidateSettings,
     seed: int,
 ) -> list[Stage]:
@@ -149,7 +150,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         relight_stored=relight_stored,
         exact=read_asset(store.local_path(args["exact"])) if "exact" in args else None,
         delivered=delivered,
-        environment=load_environment(store, args["environment"]),
+        environment=load_light(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),
         baked_bounces=bool(header.provenance.get("interreflection")),
     )

@@ -20,11 +20,14 @@ Work = dict[str, dict[str, float]]
 
 
 def n_texels(context: Mapping[str, Any]) -> int:
-    """Count the texels of the environment that a job's context names."""
-    understood = context.get("environment", {}).get("understood", {})
-    if "width" not in understood:
+    """Count the texels of the light that a job's context names, of the sum of several."""
+    lights = [context.get("environment", {}), *context.get("lights", [])]
+    understood = [light.get("understood", {}) for light in lights]
+    if any("width" not in own for own in understood):
         return DEFAULT_TEXELS
-    return int(understood["width"]) * int(understood["height"])
+    return max(int(own["width"]) for own in understood) * max(
+        int(own["height"]) for own in understood
+    )
 
 
 def asset_work(

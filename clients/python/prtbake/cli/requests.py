@@ -22,6 +22,7 @@ from prtbake.cli.materials import (
 )
 from prtbake.cli.scene_words import medium_value, receiver_value, tangents_value
 from prtbake.cli.sources import (
+    added_lights,
     brdf_value,
     environment_id,
     existing_file,
@@ -64,6 +65,10 @@ Brdf = Annotated[
 Environment = Annotated[
     str,
     typer.Option(metavar="LIGHT", help="A file (.hdr, .exr), an id, or builtin:sun_sky,width=256"),
+]
+AddLight = Annotated[
+    list[str] | None,
+    typer.Option(metavar="LIGHT", help="Shines too; 0.5*LIGHT half as bright. Repeatable."),
 ]
 MeshFormat = Annotated[
     str,
@@ -172,6 +177,7 @@ def asset(
     mesh: Mesh,
     brdf: Brdf,
     environment: Environment,
+    add_light: AddLight = None,
     quality: Quality = "medium",
     receiver: Receiver = None,
     albedo_texture: Texture = None,
@@ -218,6 +224,7 @@ def asset(
         "kind": "asset",
         **scene,
         "environment": light,
+        **added_lights(client, add_light),
         "quality": quality,
         "settings": settings,
         **_common(label, priority, seed, timeout),
@@ -299,6 +306,7 @@ def fit_light(
     client: Client,
     *,
     environment: Environment,
+    add_light: AddLight = None,
     setting: Set = None,
     layout: Layout = "auto",
     repair_non_finite: Repair = False,
@@ -313,6 +321,7 @@ def fit_light(
     return {
         "kind": "fit_light",
         "environment": light,
+        **added_lights(client, add_light),
         "settings": settings,
         **_common(label, priority, seed, timeout),
     }
@@ -347,6 +356,7 @@ def validate(
     transfer: Artefact,
     light: Artefact,
     environment: Environment,
+    add_light: AddLight = None,
     exact: Exact = None,
     setting: Set = None,
     label: Label = None,
@@ -363,6 +373,7 @@ def validate(
         "transfer": transfer,
         "light": light,
         "environment": environment_id(client, environment),
+        **added_lights(client, add_light),
         "settings": settings,
         **_common(label, priority, seed, timeout),
     }

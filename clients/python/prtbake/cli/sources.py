@@ -63,20 +63,40 @@ def mesh_id(
         return client.add_mesh(path, format=format, crease_angle_deg=crease_angle_deg).id
 
 
-def environment_id(client: Client, source: str, **options: object) -> str:
+def environment_id(
+    client: Client, source: str, *, option: str = "--environment", **options: object
+) -> str:
     """Return the id of the environment that an argument means, registering it if it is new."""
     if _RESOURCE.fullmatch(source):
         return source
     if source.startswith(BUILTIN):
         name, *pairs = source.removeprefix(BUILTIN).split(",")
         fields = [field for field in BuiltinEnvironment.model_fields if field != "name"]
-        options = legal_names(key_values(pairs), fields, source.partition(",")[0], "--environment")
-        with refusing("--environment"):
+        options = legal_names(key_values(pairs), fields, source.partition(",")[0], option)
+        with refusing(option):
             builtin = BuiltinEnvironment.model_validate({"name": name, **options})
         return client.register(EnvironmentRegistration(builtin=builtin)).id
-    path = existing_file(source, "--environment")
+    path = existing_file(source, option)
     with naming(path, {"/layout": "--layout"}):
         return client.add_environment(path, **options).id
+
+
+def added_lights(client: Client, words: list[str] | None) -> dict[str, Any]:
+    """Return the ``lights`` of a request: each word is an environment, or ``SCALE*`` and one."""
+    lights = []
+    for word in words or []:
+        scale, star, source = word.partition("*")
+        light: dict[str, Any] = {"scale": 1.0}
+        if star:
+            try:
+                light["scale"] = float(scale)
+            except ValueError as error:
+                raise typer.BadParameter(
+                    f"{scale} is no number to scale {source} by", param_hint="--add-light"
+                ) from error
+        found = environment_id(client, source if star else word, option="--add-light")
+        lights.append({"environment": found, **light})
+    return {"lights": lights} if lights else {}
 
 
 def brdf_value(client: Client, source: str, *, option: str = "--brdf") -> str | dict[str, Any]:
