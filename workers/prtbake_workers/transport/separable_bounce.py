@@ -177,8 +177,10 @@ class BounceGather:
                 for matrices, one in zip(product.sending, flat, strict=True):
                     if matrices is not None:
                         radiance += matrices[channel] @ one
-                arriving = radiance.reshape(n_verts, n_rays, n_coeffs)
-                result[product.rows, channel] = product.weighted @ arriving
+                # no name for what arrives: it would be held while the next product is made
+                result[product.rows, channel] = product.weighted @ radiance.reshape(
+                    n_verts, n_rays, n_coeffs
+                )
         return result
 
     def counters(self) -> dict[str, int]:
