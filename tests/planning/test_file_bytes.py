@@ -101,6 +101,21 @@ def test_more_of_anything_is_more_bytes():
         one = PartNumbers(**{**part.__dict__, "n_rows": 3, "n_channels": 3, field: value})
         two = PartNumbers(**{**one.__dict__, "even": False, "n_channels": 1, "n_rows": 3})
         assert transfer_bytes(known, [one]) < transfer_bytes(known, [two])
+    # of three channels of scattered light none is like another
+    three = PartNumbers(**{**part.__dict__, "n_rows": 3, "n_channels": 3})
+    own = PartNumbers(**{**three.__dict__, "scattered": True})
+    assert transfer_bytes(known, [own]) > 1.2 * transfer_bytes(known, [three])
+    # evenness shows in factors of one term alone
+    for rows, less in ((1, True), (8, False)):
+        even, plain = (
+            asset_bytes(
+                known,
+                [PartNumbers(**{**part.__dict__, "n_rows": rows, "even": flag})],
+                bits="auto",
+            )
+            for flag in (True, False)
+        )
+        assert (even < plain) == less
     assert asset_bytes(known, [part], bits=32) > 1.4 * asset_bytes(known, [part], bits=16)
     # a diffuse part has neither frames nor a texture
     plain = known_of(1)

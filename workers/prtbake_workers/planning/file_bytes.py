@@ -30,12 +30,13 @@ FILE_BYTES, ARRAY_BYTES = 4000, 310
 
 PROVENANCE_BYTES = 1500
 
-MANY_TERMS_SHARE, SHADOWED_SHARE, EVEN_SHARE = 0.885, 0.83, 0.74
+MANY_TERMS_SHARE, SHADOWED_SHARE, EVEN_SHARE = 0.85, 0.83, 0.74
 """Of 2 bytes a coefficient: of more terms than one, of one whose light the part itself or another
 blocks, and of one on a plane or in the open, which is smoother."""
 
-CHANNELS_SHARE = 0.7
-"""Of that where there are three channels: much of what they hold is the same."""
+CHANNELS_SHARE = 0.78
+"""Of that where there are three channels: much of what they hold is the same, but where light that
+is scattered inside has a way of its own in each."""
 
 SCALE_SHARE, ENERGY_SHARE = 0.28, 0.68
 """Of the 4 bytes of a row's scale, and of the 16 of a vertex's two energies."""
@@ -46,7 +47,7 @@ FACTOR_BYTES: dict[Bits, float] = {32: 3.6, 16: 1.9, 8: 0.82, "auto": 0.88}
 EVEN_FACTOR_BYTES = 0.53
 TEXTURE_BYTES: dict[Bits, float] = {32: 3.12, 16: 1.8, 8: 0.75, "auto": 0.55}
 """Of a number of factors and of view textures, by the bits that it is asked to have; of factors of
-even parts in bits that their error chooses, which is larger."""
+even parts of one term in bits that their error chooses, which is larger."""
 
 PART_ARRAYS, TRANSFER_ARRAYS, ASSET_ARRAYS = 10, 6, 9
 """Of a part in either file, in transfer and in the asset beside; the mesh and the basis are 5."""
@@ -82,7 +83,7 @@ class PartNumbers:
     """What is counted of one part: vertices, rows (channels x terms), coefficients and factors.
 
     ``view_columns`` are those of the view texture, of all channels; ``even`` parts are planes, or
-    lie in the open.
+    lie in the open; ``scattered`` ones have a medium that moves light inside them.
     """
 
     n_verts: int
@@ -92,6 +93,12 @@ class PartNumbers:
     n_coeffs: int
     factor_floats: int
     view_columns: int
+    scattered: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether a channel has one term."""
+        return self.n_rows == self.n_channels
 
 
 def known_bytes(
@@ -155,7 +162,9 @@ def transfer_bytes(known: KnownBytes, parts: Sequence[PartNumbers]) -> int:
 
 def _coefficient_share(part: PartNumbers) -> float:
     share = EVEN_SHARE if part.even else SHADOWED_SHARE
-    if part.n_rows > part.n_channels:
+    if part.scattered:
+        return SHADOWED_SHARE
+    if not part.single:
         share = MANY_TERMS_SHARE
     return share if part.n_channels == 1 else CHANNELS_SHARE * share
 
@@ -164,7 +173,7 @@ def asset_bytes(known: KnownBytes, parts: Sequence[PartNumbers], *, bits: Bits) 
     """Predict ``asset.h5``, or ``asset-float32.h5`` (32 bits)."""
     found = float(known.asset[32 if bits == 32 else 16] + _frame(len(parts), ASSET_ARRAYS))
     for part, texels in zip(parts, known.texels, strict=True):
-        even = part.even and bits == "auto"
+        even = part.even and part.single and bits == "auto"
         found += (EVEN_FACTOR_BYTES if even else FACTOR_BYTES[bits]) * part.factor_floats
         found += TEXTURE_BYTES[bits] * texels * part.view_columns
     return round(found)

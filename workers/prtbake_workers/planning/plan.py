@@ -327,6 +327,7 @@ def make_plan(
             n_channels=n_channels,
             n_coeffs=bake.n_coeffs,
             bits=settings.compress.bits,
+            scattering=bounces.scattering if bounces is not None else (),
         )
         | {"light.h5": light_bytes(settings.fit_light)},
         memory_bytes=memory,

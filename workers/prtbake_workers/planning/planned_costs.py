@@ -1,6 +1,6 @@
 """What the stages of a plan cost: their work, their memory, and the bytes of their files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import ceil, log
 
 from prtbake_workers.geometry.scene import Scene
@@ -52,8 +52,9 @@ def artefact_bytes(
     n_channels: int,
     n_coeffs: int,
     bits: Bits,
+    scattering: Collection[int] = (),
 ) -> dict[str, int]:
-    """Predict the bytes of transfer and assets."""
+    """Predict the bytes of transfer and assets; parts in ``scattering`` scatter light inside."""
     numbers = [
         PartNumbers(
             n_verts=part.vertex_range[1] - part.vertex_range[0],
@@ -63,8 +64,9 @@ def artefact_bytes(
             n_coeffs=n_coeffs,
             factor_floats=part.cost.factor_floats,
             view_columns=part.compression.ranks[0] * channels,
+            scattered=index in scattering,
         )
-        for part, channels in zip(parts, view_channels, strict=True)
+        for index, (part, channels) in enumerate(zip(parts, view_channels, strict=True))
     ]
     return {
         "transfer.h5": transfer_bytes(known, numbers),

@@ -7,8 +7,15 @@ the stage cuts its work.
 from collections.abc import Sequence
 from typing import Literal
 
-from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_storage.contract.settings import (
+    MEDIUM_PATHS,
+    FitLightSettings,
+    RenderSettings,
+    ValidateSettings,
+)
+from prtbake_storage.decode.transfer_basis import LIGHT_CHUNK
 from prtbake_workers.planning.cost import CHILD_BYTES
+from prtbake_workers.planning.light_pieces import cut_texels, spacing_of
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
@@ -30,16 +37,22 @@ VALUE_BYTES = 14.5
 REBUILT_BYTES, REBUILT_VERTS = 20, 2048
 """Of a coefficient that quantisation is measured by, at so many vertices at once."""
 
-SAMPLE_BYTES: dict[Lobe, int] = {"none": 155, "isotropic": 310, "anisotropic": 500}
-SAMPLE_TERM_BYTES = 40
+VALIDATE_BYTES = 25_000_000
+"""Of scene, assets and tables of a validation that is about to begin."""
+
+SAMPLE_BYTES: dict[Lobe, int] = {"none": 165, "isotropic": 240, "anisotropic": 190}
+SAMPLE_TERM_BYTES = 14
 """Of a light sample at a pixel, by what reflects it there, and of each term but for none."""
 
-CELL_BYTES: dict[Lobe, int] = {"none": 150, "isotropic": 150, "anisotropic": 500}
-CELL_TERM_BYTES = 15
+CELL_BYTES: dict[Lobe, int] = {"none": 130, "isotropic": 140, "anisotropic": 145}
+CELL_TERM_BYTES: dict[Lobe, int] = {"none": 0, "isotropic": 10, "anisotropic": 15}
 """Of a vertex in one of the bake's directions, and of each term."""
 
-PATH_BYTES, MOST_PATH_BYTES = 670, 90_000_000
-"""Of a path, and of those under way at once."""
+PATH_BYTES, INSIDE_PATH_BYTES = 600, 1150
+"""Of a path, and of one that begins where light is scattered inside."""
+
+LIGHT_VALUES = 4
+"""Float64 of a function of the basis in a direction, at `LIGHT_CHUNK` directions at once."""
 
 CHAIN_BYTES = 96
 """Of a pixel and pass: four pictures of three colours."""
@@ -84,22 +97,32 @@ def validate_memory_bytes(
     ``part_terms`` and ``lobes`` are those of each part.
     """
     paths = bool(settings.reference_bounces(baked=baked_bounces))
-    n_dirs = 6 * bake.cube_resolution**2
-    light = 8 * bake.n_coeffs * max(n_texels, 3 * n_dirs)
-    return CHILD_BYTES + max(
-        max(
-            light,
-            min(PATH_BYTES * one.pixels * settings.paths, MOST_PATH_BYTES)
-            if paths or one.inside
-            else 0,
-            *(
-                _part_bytes(pixels, one.vertices, settings.samples, n_dirs, terms, lobe)
-                for pixels, terms, lobe in zip(one.parts, part_terms, lobes, strict=True)
-            ),
+    n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
+    at_once = min(LIGHT_CHUNK, cut_texels(n_texels, spacing_of(bake, n_coeffs)))
+    # what the environment is on the basis, beside the projection and the roots of the Gram matrix
+    light = 8 * n_coeffs * (LIGHT_VALUES * at_once + 2 * n_dirs + 2 * n_coeffs)
+    return (
+        CHILD_BYTES
+        + VALIDATE_BYTES
+        + max(
+            max(
+                light,
+                _path_bytes(one.pixels - one.inside, settings.paths, PATH_BYTES) if paths else 0,
+                _path_bytes(one.inside, MEDIUM_PATHS * settings.paths, INSIDE_PATH_BYTES),
+                *(
+                    _part_bytes(pixels, one.vertices, settings.samples, n_dirs, terms, lobe)
+                    for pixels, terms, lobe in zip(one.parts, part_terms, lobes, strict=True)
+                ),
+            )
+            + CHAIN_BYTES * one.pixels * settings.passes * len(settings.rotations_deg)
+            for one in seen
         )
-        + CHAIN_BYTES * one.pixels * settings.passes * len(settings.rotations_deg)
-        for one in seen
     )
+
+
+def _path_bytes(pixels: int, paths: int, bytes_each: int) -> int:
+    """Of the paths of a block of pixels."""
+    return bytes_each * min(RAYS_PER_BLOCK, pixels * paths)
 
 
 def _part_bytes(
@@ -110,5 +133,5 @@ def _part_bytes(
     of_terms = 0 if lobe == "none" else terms
     return max(
         min(most, pixels * samples) * (SAMPLE_BYTES[lobe] + SAMPLE_TERM_BYTES * of_terms),
-        min(most, vertices * n_dirs) * (CELL_BYTES[lobe] + CELL_TERM_BYTES * of_terms),
+        min(most, vertices * n_dirs) * (CELL_BYTES[lobe] + CELL_TERM_BYTES[lobe] * of_terms),
     )
