@@ -21,7 +21,8 @@ from prtbake_workers.compress.baselines.wavelet_transfer import compress_wavelet
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-N_CLUSTERS = 24
+N_CLUSTERS = 16
+"""In a quarter of the teapot's vertices, at equal bytes, 12 do better than 24, at three times 24 do."""
 MOST_COMPONENTS = 32
 N_DIMS = 384
 DARK_DIMS = 48
