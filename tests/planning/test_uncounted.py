@@ -10,6 +10,8 @@ from prtbake_workers.planning.uncounted import uncounted
     ("settings", "said"),
     [
         ({"max_error": 0.01}, "one fit at the sizes"),
+        ({"max_bytes": 10**6}, "ample for the bytes"),
+        ({"max_seconds": 5.0}, "ended no fit"),
         ({"classification": "iterative"}, "iterative classification takes"),
         ({"overdraw_budget": 0.05}, "overdraw_budget"),
         ({"coherence": 0.05}, "coherence"),

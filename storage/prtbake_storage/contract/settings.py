@@ -214,6 +214,9 @@ class CompressSettings(Wire):
     """Of `asset.h5`, mesh and tables included: sizes, columns and bits are searched that end just
     below it with the least error.  Takes the place of the same; beside `max_error`, what the fewest
     bytes for that error are held against."""
+    max_seconds: Annotated[float, Field(gt=0.0, le=604800.0)] | None = None
+    """Of all tasks of compressing and writing, added up: fits end between two of their rounds with
+    what they have, and notes say so.  One round is the least that is done, whatever it takes."""
     coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
     """What a vertex pays for being a box diagonal off its cluster on the mesh, in root mean square
     norms of the signal; null and 0 leave places aside, 0.05 is Chen's.  Where clusters have bases

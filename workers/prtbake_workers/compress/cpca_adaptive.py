@@ -59,6 +59,8 @@ def adapt(
     n_steps = 2 * max_iterations
     for charged in (False, True):
         for iteration in range(max_iterations):
+            if not trace.has_time():
+                return best
             trial = best.copy()
             fees = charged * price / _served(trial.weights)
             if reclassify(trial, fees) == 0:

@@ -72,7 +72,7 @@ def settle(
     _use_all_alike(clusters, rank)
     trace.append(clusters.squared_error)
     for _ in range(max_iterations):
-        if trace.values[-1] <= 0.0:
+        if trace.values[-1] <= 0.0 or not trace.has_time():
             break
         if reclassify(clusters) == 0:
             break

@@ -217,6 +217,8 @@ class _Fit:
         ).labels
         for iteration in range(self.max_iterations):
             if iteration > 0:
+                if not self.trace.has_time():
+                    break
                 pays = self._paying_moves()
                 if reclassify(self.z, self.factors, self.labels, self.errors, pays) == 0:
                     break
@@ -226,6 +228,8 @@ class _Fit:
             if self.trace.has_converged(self.tolerance):
                 break
         for iteration in range(APPROXIMATION_ITERATIONS):
+            if not self.trace.has_time():
+                break
             self._fit_all_modes()
             done = (self.max_iterations + iteration + 2) / n_steps
             progress(done, f"approximation, error {self.trace.ratio:.3%}")

@@ -5,8 +5,10 @@ fixed, so the squared error can only fall.  Where it rises by more than rounding
 """
 
 import math
+import time
 
 from prtbake_storage.errors import PrtError
+from prtbake_workers.compress.deadline import time_for
 
 # What float32 products cost, as a share of the input's squared norm: one rounding of a stored
 # factor is 6e-8, and differences of energies inherit it.
@@ -37,6 +39,7 @@ class ObjectiveTrace:
         self.name = name
         self.may_rise = may_rise
         self.values: list[float] = []
+        self._longest, self._since = 0.0, time.monotonic()
 
     def append(self, value: float) -> None:
         """Add the objective after a step.
@@ -58,6 +61,12 @@ class ObjectiveTrace:
                     f"{rise / self.squared_norm:.2e} of the input's squared norm"
                 )
         self.values.append(value)
+        now = time.monotonic()
+        self._longest, self._since = max(self._longest, now - self._since), now
+
+    def has_time(self) -> bool:
+        """Whether a step as long as the longest so far ends before the deadline, if any."""
+        return time_for(self._longest)
 
     @property
     def ratio(self) -> float:

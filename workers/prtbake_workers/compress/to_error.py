@@ -6,6 +6,7 @@ given back in columns (`prtbake_workers.compress.trim`), so that the error ends 
 target whatever the search's steps were.
 """
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import exp, log
@@ -15,6 +16,7 @@ import numpy as np
 from prtbake_storage.contract.settings import MOST_CLUSTERS
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, Float32
+from prtbake_workers.compress.deadline import time_for
 from prtbake_workers.compress.inputs import checked_vertex_weights
 from prtbake_workers.compress.methods import Compressed, Fit, Sizes, compress, factors_of
 from prtbake_workers.compress.pca import Principal
@@ -96,7 +98,8 @@ def compress_to_error(
     Raises
     ------
     SettingsError
-        The target is out of range, or no sizes that were tried meet it; the message tells the best.
+        The target is out of range, or no sizes that were tried meet it, or none before a deadline;
+        the message tells the best.
     """
     if not 0.0 < target < 1.0:
         raise SettingsError(
@@ -119,14 +122,26 @@ def compress_to_error(
         trial = fit = replace(fit, principal=Principal(signal, fit.vertex_weights))
     ratios: list[float] = []
     held: tuple[Scaled, Compressed] | None = None
+    took, in_time = 0.0, True
     for scaled in _search(method, start, coefficients.shape, target, ratios):
+        in_time = not ratios or time_for(took)
+        if not in_time:
+            break
+        began = time.monotonic()
         found = compress(method, coefficients, scaled, trial)
+        took = max(took, time.monotonic() - began)
         ratio = found.model.squared_error_ratio
         ratios.append(ratio)
         if ratio <= target and (held is None or ratio > held[1].model.squared_error_ratio):
             held = scaled, found
         if lowest * target <= ratio <= highest * target:
             break
+    if held is None and not in_time:
+        raise SettingsError(
+            f"max_seconds ended the search for a squared error of {asked:.3g}: the best of "
+            f"{len(ratios)} trials of {method} leaves {min(ratios):.3g}",
+            pointer="/max_seconds",
+        )
     if held is None:
         raise SettingsError(
             f"a squared error of {asked:.3g} cannot be met by {method}: the best of {len(ratios)} "
@@ -137,11 +152,11 @@ def compress_to_error(
     scaled, met = held
     if method == "vq":
         return met
-    # PCA has no iterations to make more of
-    full = met if method == "pca" else compress(method, coefficients, scaled, fit)
-    # more iterations win by their own measure, which need not be that of what is asked for
-    if full.model.squared_error_ratio <= target:
-        met = full
+    if method != "pca" and time_for(took):  # PCA has no iterations to make more of
+        full = compress(method, coefficients, scaled, fit)
+        # more iterations win by their own measure, which need not be that of what is asked for
+        if full.model.squared_error_ratio <= target:
+            met = full
     weights = checked_vertex_weights(fit.vertex_weights, len(coefficients))
     model = trimmed(met.model, target * (1.0 - MARGIN), weights)
     return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))

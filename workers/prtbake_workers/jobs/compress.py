@@ -1,5 +1,6 @@
 """Job kind ``compress``: the factors of every part, then the asset with them exact and rounded."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from prtbake_workers.arrays import F32, F64, I32
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.coherence import coherence_of
+from prtbake_workers.compress.deadline import ends_by
 from prtbake_workers.compress.methods import Fit, compress
 from prtbake_workers.compress.superclusters import (
     check_registers,
@@ -29,9 +31,9 @@ from prtbake_workers.compress.superclusters import (
 from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
+from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.sized import check_bytes, write_sized
-from prtbake_workers.planning.byte_budget import sized_to_bytes
 from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 from prtbake_workers.planning.registers import check_planned_registers
@@ -59,7 +61,6 @@ def stages(
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
     rounding, draws = options(settings), draw_settings(settings)
-    by_bytes = settings.max_bytes is not None and settings.max_error is None
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
 
     def parts(results: Results) -> list[Task]:
@@ -77,7 +78,7 @@ def stages(
                     "seed": seed,
                     "draws": draws,
                 }
-                | (_byte_budget(settings, compressions) if by_bytes else {}),
+                | budgets(settings, compressions),
                 label=f"part {index}",
                 threads=settings.threads,
             )
@@ -87,8 +88,7 @@ def stages(
     def assemble(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
         asked = settings.model_dump(include={"max_iterations", "max_error", "threads"})
-        if settings.max_bytes is not None:
-            asked["max_bytes"] = settings.max_bytes
+        limits = settings.model_dump(include={"max_bytes", "max_seconds"}, exclude_none=True)
         args = {
             "transfer": transfer,
             "factors": [result["factors"] for result in results["compress"]],
@@ -98,7 +98,12 @@ def stages(
             "max_error": settings.max_error,
             "max_bytes": settings.max_bytes,
             "registers": settings.registers,
-            "compress": asked | draws | {"seed": seed} | rounding | {"parts": compressions},
+            "compress": asked
+            | limits
+            | draws
+            | {"seed": seed}
+            | rounding
+            | {"parts": compressions},
         }
         return [Task(f"{_MODULE}:assemble", args)]
 
@@ -106,17 +111,6 @@ def stages(
         Stage("compress", "parts", 30.0, parts),
         Stage("quantise", "asset", 2.0, assemble),
     ]
-
-
-def _byte_budget(
-    settings: CompressSettings, compressions: Sequence[dict[str, Any]]
-) -> dict[str, Any]:
-    """Give the tasks of parts what they share a number of bytes by."""
-    return {
-        "max_bytes": settings.max_bytes,
-        "compressions": list(compressions),
-        "clusters_given": settings.n_clusters is not None,
-    }
 
 
 def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> list[Stage]:
@@ -247,8 +241,9 @@ def read_mesh(path: Path, part: TransferPart) -> tuple[F64, I32]:
 
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
+    began = time.monotonic()
     part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
-    compression = _compression(args, context)
+    compression, deadline = planned_fit(args, context, time.monotonic() - began)
     draws = args.get("draws") or {}
     positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)
     weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
@@ -268,10 +263,11 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         progress=progress,
     )
     inputs = compression.method, coefficients, compression, fit
-    if args.get("max_error") is None:
-        compressed = compress(*inputs)
-    else:
-        compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])
+    with ends_by(deadline):
+        if args.get("max_error") is None:
+            compressed = compress(*inputs)
+        else:
+            compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])
     model = compressed.model
     if draws.get("registers") is not None:
         # planning knows neither ranks that are searched nor those of adaptive classification
@@ -293,23 +289,8 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "transfer_bytes": int(coefficients.nbytes),
         "errors": {part.name: float(model.squared_error_ratio)},
         "overdraw": average_overdraw(faces, model.labels),
-        "notes": list(model.notes),
+        "notes": [*model.notes, *time_notes(part.name, args, model, deadline)],
     }
-
-
-def _compression(args: dict[str, Any], context: TaskContext) -> PartCompression:
-    """Choose the part's sizes: those planned, or what a number of bytes calls for."""
-    if args.get("max_bytes") is None:
-        return PartCompression.from_dict(args["compression"])
-    with open_transfer(context.store.local_path(args["transfer"])) as transfer:
-        header = transfer.header
-    sized: list[PartCompression] = sized_to_bytes(
-        header,
-        [PartCompression.from_dict(one) for one in args["compressions"]],
-        args["max_bytes"],
-        clusters_given=args["clusters_given"],
-    )
-    return sized[int(args["part"])]
 
 
 def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:

@@ -21,6 +21,8 @@ def uncounted(
             "max_bytes fits sizes that are ample for the bytes: seconds, bytes and memory are "
             "those of the sizes it starts from"
         )
+    elif compress.max_seconds is not None:
+        found["compress"] = "max_seconds is predicted as if it ended no fit"
     elif compress.classification != "static":
         found["compress"] = (
             f"{compress.classification} classification takes up to 25 times the seconds of static, "

@@ -1,0 +1,70 @@
+"""Seconds that are asked for: fits end with what they have and say so; enough change nothing."""
+
+import pytest
+from pydantic import ValidationError
+
+from prtbake_storage.contract.settings import CompressSettings
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_workers.jobs.compress import compressions_of, standalone_stages
+from prtbake_workers.jobs.part_budget import READS, START_SECONDS, fit_seconds
+from support.local_stages import run_stages
+from support.transfer_file import write_transfer
+
+
+@pytest.fixture(scope="module")
+def transfer(store, tmp_path_factory):
+    path = write_transfer(tmp_path_factory.mktemp("max-seconds"), n_channels=1)
+    return store.put_file(path, move=False)
+
+
+def compressed(store, transfer, **settings):
+    given = CompressSettings(max_iterations=6, **settings)
+    return run_stages(standalone_stages(transfer, given, 1), store)
+
+
+def test_without_time_one_round_is_taken_and_said(store, transfer):
+    results = compressed(store, transfer, max_seconds=0.01, method="cta")
+    for part in results["compress"]:
+        assert part["iterations"] == 1
+        assert any("max_seconds 0.01 ended the fit" in note for note in part["notes"])
+    assert max(results["quantise"][0]["delivered"]["parts"].values()) < 0.2
+
+
+def test_time_enough_gives_the_factors_of_none_asked_for(store, transfer):
+    free = compressed(store, transfer)["compress"]
+    held = compressed(store, transfer, max_seconds=3600.0)["compress"]
+    assert [part["factors"] for part in held] == [part["factors"] for part in free]
+    assert all(not part["notes"] for part in held)
+
+
+def test_an_error_that_time_ends_is_refused_with_the_best(store, transfer):
+    with pytest.raises(SettingsError, match="max_seconds ended the search"):
+        compressed(store, transfer, method="cta", max_error=1e-4, max_seconds=0.01)
+
+
+def test_bytes_hold_whatever_the_time(store, transfer):
+    made = compressed(store, transfer, max_bytes=90_000, max_seconds=0.01)["quantise"][0]
+    assert 81_000 <= made["bytes"] <= 90_000
+
+
+def test_fits_share_what_reading_and_writing_leave(store, transfer):
+    with open_transfer(store.local_path(transfer)) as file:
+        header = file.header
+    sizes = compressions_of(header, CompressSettings())
+    common = {"iterations": 5, "threads": 1, "by_bytes": False}
+    shares = [
+        fit_seconds(100.0, header, sizes, part, read_seconds=0.0, **common) for part in range(2)
+    ]
+    assert sum(shares) == pytest.approx(100.0 - 3 * START_SECONDS)
+    assert shares[0] > shares[1] > 0.0
+    values = [part.n_vertices * part.n_rows for part in header.parts]
+    slow = fit_seconds(100.0, header, sizes, 0, read_seconds=2.0, **common)
+    kept = (1.0 + READS) * 2.0 * sum(values) / values[0]
+    assert slow == pytest.approx(shares[0] * (1.0 - kept / sum(shares)))
+
+
+@pytest.mark.parametrize("asked", [0.0, -1.0, 1e6])
+def test_seconds_out_of_range_are_refused(asked):
+    with pytest.raises(ValidationError, match="max_seconds"):
+        CompressSettings(max_seconds=asked)

@@ -1,0 +1,125 @@
+"""What the parts of a compression share of the bytes and seconds that are asked for."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from prtbake_storage.contract.settings import CompressSettings
+from prtbake_storage.hdf5.transfer import TransferHeader, open_transfer
+from prtbake_storage.queue.context import TaskContext
+from prtbake_workers.compress.deadline import Deadline
+from prtbake_workers.compress.methods import Model
+from prtbake_workers.planning.byte_budget import sized_to_bytes
+from prtbake_workers.planning.presets import PartCompression
+from prtbake_workers.planning.stage_work import compress_work
+
+START_SECONDS = 0.9
+"""Of a task's process, of which a part has one and the asset another."""
+
+READS = 2.5
+"""Times that writing and measuring the asset takes what reading the transfer does: 2.2 measured."""
+
+READS_BY_BYTES = 4.5
+"""The same where bytes are asked for, and files of several sizes are made: 4.0 measured."""
+
+
+def budgets(settings: CompressSettings, compressions: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Give the tasks of parts what they share bytes and seconds by, where there is a budget."""
+    given: dict[str, Any] = {}
+    if settings.max_bytes is not None and settings.max_error is None:
+        given |= {
+            "max_bytes": settings.max_bytes,
+            "clusters_given": settings.n_clusters is not None,
+        }
+    if settings.max_seconds is not None:
+        given |= {"max_seconds": settings.max_seconds, "threads": settings.threads}
+    return given | {"compressions": list(compressions)} if given else {}
+
+
+def planned_fit(
+    args: dict[str, Any], context: TaskContext, read_seconds: float
+) -> tuple[PartCompression, Deadline | None]:
+    """Choose the part's sizes, which may go by bytes, and when its fit has to end."""
+    if args.get("compressions") is None:
+        return PartCompression.from_dict(args["compression"]), None
+    with open_transfer(context.store.local_path(args["transfer"])) as transfer:
+        header = transfer.header
+    max_bytes = args.get("max_bytes")
+    sizes = [PartCompression.from_dict(one) for one in args["compressions"]]
+    if max_bytes is not None:
+        sizes = sized_to_bytes(header, sizes, max_bytes, clusters_given=args["clusters_given"])
+    own: PartCompression = sizes[args["part"]]
+    if args.get("max_seconds") is None:
+        return own, None
+    seconds = fit_seconds(
+        args["max_seconds"],
+        header,
+        sizes,
+        args["part"],
+        iterations=args["max_iterations"],
+        threads=args["threads"],
+        read_seconds=read_seconds,
+        by_bytes=max_bytes is not None,
+    )
+    return own, Deadline(seconds)
+
+
+def fit_seconds(
+    max_seconds: float,
+    header: TransferHeader,
+    compressions: Sequence[PartCompression],
+    part: int,
+    *,
+    iterations: int,
+    threads: int,
+    read_seconds: float,
+    by_bytes: bool,
+) -> float:
+    """Share the seconds of all tasks out among the fits, by the operations they are counted at.
+
+    Parameters
+    ----------
+    max_seconds
+        Of all tasks of compressing and writing, added up.
+    part
+        Whose fit it is.
+    iterations, threads
+        As the settings have them.
+    read_seconds
+        That reading this part's transfer took: what is kept for reading and writing goes by it, so
+        that it holds on a slow machine or a busy one.
+    by_bytes
+        Whether the asset is to have a number of bytes.
+
+    Returns
+    -------
+    float
+        From now on; 0 or less where nothing is left for fits.
+    """
+    values, work = [], []
+    for own, compression in zip(header.parts, compressions, strict=True):
+        size = {
+            "n_verts": own.n_vertices,
+            "n_terms": own.n_terms,
+            "n_coeffs": header.basis.n_coeffs,
+            "n_channels": own.n_channels,
+        }
+        counted = compress_work(compression, **size, iterations=iterations, threads=threads)
+        work.append(counted["product_flops"] + counted["solve_flops"])
+        values.append(counted["values"])
+    reading = read_seconds * sum(values) / max(values[part], 1.0)
+    kept = (1.0 + (READS_BY_BYTES if by_bytes else READS)) * reading
+    kept += START_SECONDS * (len(work) + 1)
+    return (max_seconds - kept) * work[part] / sum(work)
+
+
+def time_notes(
+    name: str, args: dict[str, Any], model: Model, deadline: Deadline | None
+) -> list[str]:
+    """Say that a fit ended for want of time."""
+    if deadline is None or not deadline.hit:
+        return []
+    return [
+        f"{name}: max_seconds {args['max_seconds']:g} ended the fit after {deadline.spent:.1f} s "
+        f"and {model.iterations} iterations, with a squared error of "
+        f"{model.squared_error_ratio:.2g}"
+    ]
