@@ -1,14 +1,19 @@
 """What the parts of a compression share of the bytes and seconds that are asked for."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.hdf5.transfer import TransferHeader, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.compress.deadline import Deadline
 from prtbake_workers.compress.methods import Model
-from prtbake_workers.planning.byte_budget import sized_to_bytes
+from prtbake_workers.planning.byte_budget import Extent, sized_to_bytes
+from prtbake_workers.planning.packed_bytes import packed_bytes
 from prtbake_workers.planning.presets import PartCompression
 from prtbake_workers.planning.stage_work import compress_work
 
@@ -46,7 +51,12 @@ def planned_fit(
     max_bytes = args.get("max_bytes")
     sizes = [PartCompression.from_dict(one) for one in args["compressions"]]
     if max_bytes is not None:
-        sizes = sized_to_bytes(header, sizes, max_bytes, clusters_given=args["clusters_given"])
+        sizes = sized_to_bytes(
+            extents_of(header),
+            sizes,
+            float(max_bytes - mesh_bytes(header)),
+            clusters_given=args["clusters_given"],
+        )
     own: PartCompression = sizes[args["part"]]
     if args.get("max_seconds") is None:
         return own, None
@@ -61,6 +71,25 @@ def planned_fit(
         by_bytes=max_bytes is not None,
     )
     return own, Deadline(seconds)
+
+
+def extents_of(header: TransferHeader) -> list[Extent]:
+    """Give the shape of every part's transfer."""
+    return [
+        Extent(part.n_vertices, part.n_terms, header.basis.n_coeffs, part.n_channels)
+        for part in header.parts
+    ]
+
+
+def mesh_bytes(header: TransferHeader) -> int:
+    """Pack mesh and frames as assets hold them."""
+    units = np.round(header.normals * 32767.0).astype(np.int16)
+    arrays: list[NDArray[Any]] = [header.positions.astype(np.float32), header.faces, units]
+    # a tangent packs to about what a normal does
+    arrays += [units[slice(*own.vertex_range)] for own in header.parts if own.frames is not None]
+    if header.uv is not None:
+        arrays.append(header.uv.astype(np.float32))
+    return sum(packed_bytes(array) for array in arrays)
 
 
 def fit_seconds(
@@ -96,14 +125,8 @@ def fit_seconds(
         From now on; 0 or less where nothing is left for fits.
     """
     values, work = [], []
-    for own, compression in zip(header.parts, compressions, strict=True):
-        size = {
-            "n_verts": own.n_vertices,
-            "n_terms": own.n_terms,
-            "n_coeffs": header.basis.n_coeffs,
-            "n_channels": own.n_channels,
-        }
-        counted = compress_work(compression, **size, iterations=iterations, threads=threads)
+    for own, compression in zip(extents_of(header), compressions, strict=True):
+        counted = compress_work(compression, **asdict(own), iterations=iterations, threads=threads)
         work.append(counted["product_flops"] + counted["solve_flops"])
         values.append(counted["values"])
     reading = read_seconds * sum(values) / max(values[part], 1.0)

@@ -7,17 +7,11 @@ byte on a glossy teapot on a plane), while the fit takes longer.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from math import sqrt
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from prtbake_storage.contract.settings import MOST_CLUSTERS
-from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart
 from prtbake_workers.planning.cost import factor_floats
-from prtbake_workers.planning.packed_bytes import packed_bytes
 from prtbake_workers.planning.presets import PartCompression
 
 NUMBERS_A_BYTE = 4.0
@@ -33,10 +27,20 @@ MOST_STEPS = 40
 """Bisections of the scale: to a part in 1e9."""
 
 
+@dataclass(frozen=True)
+class Extent:
+    """Shape of a part's transfer: vertices, channels x terms, and coefficients."""
+
+    n_verts: int
+    n_terms: int
+    n_coeffs: int
+    n_channels: int
+
+
 def sized_to_bytes(
-    header: TransferHeader,
+    extents: Sequence[Extent],
     compressions: Sequence[PartCompression],
-    max_bytes: int,
+    factor_bytes: float,
     *,
     clusters_given: bool,
 ) -> list[PartCompression]:
@@ -44,63 +48,44 @@ def sized_to_bytes(
 
     Parameters
     ----------
-    compressions
-        Of each part, as the ladder has them.
-    max_bytes
-        Of the whole file; what mesh and frames pack to is left aside.
+    extents, compressions
+        Of each part; sizes as the ladder has them.
+    factor_bytes
+        What the mesh leaves of the file; 0 or less for the smallest sizes.
     clusters_given
         Leaves the numbers of clusters as they are.  Otherwise larger budgets take more of them:
         above the ladder's sizes the scale's root goes to clusters and to ranks each.
     """
-    left = max(0.0, float(max_bytes - _mesh_bytes(header)))
-    coeffs = header.basis.n_coeffs
 
     def at(scale: float) -> list[PartCompression]:
         return [
-            _scaled(part, own, coeffs, scale, clusters_given)
-            for part, own in zip(header.parts, compressions, strict=True)
+            _scaled(part, own, scale, clusters_given)
+            for part, own in zip(extents, compressions, strict=True)
         ]
 
     def numbers(scaled: Sequence[PartCompression]) -> float:
         """Count numbers over how many a byte is given."""
         return sum(
-            factor_floats(
-                own,
-                n_verts=part.n_vertices,
-                n_terms=part.n_terms,
-                n_coeffs=coeffs,
-                n_channels=part.n_channels,
-            )
+            factor_floats(own, **asdict(part))
             / (MEANS_A_BYTE if own.method == "vq" else NUMBERS_A_BYTE)
-            for part, own in zip(header.parts, scaled, strict=True)
+            for part, own in zip(extents, scaled, strict=True)
         )
 
     low, high = 1e-4, 1e6
-    if numbers(at(high)) <= left:
+    if numbers(at(high)) <= factor_bytes:
         return at(high)
     for _ in range(MOST_STEPS):
         middle = sqrt(low * high)
-        low, high = (middle, high) if numbers(at(middle)) <= left else (low, middle)
+        low, high = (middle, high) if numbers(at(middle)) <= factor_bytes else (low, middle)
     return at(high)
 
 
-def _mesh_bytes(header: TransferHeader) -> int:
-    """Pack the mesh as assets hold it."""
-    units = np.round(header.normals * 32767.0).astype(np.int16)
-    arrays: list[NDArray[Any]] = [header.positions.astype(np.float32), header.faces, units]
-    # a tangent packs to about what a normal does
-    arrays += [units[slice(*own.vertex_range)] for own in header.parts if own.frames is not None]
-    if header.uv is not None:
-        arrays.append(header.uv.astype(np.float32))
-    return sum(packed_bytes(array) for array in arrays)
-
-
 def _scaled(
-    part: TransferPart, own: PartCompression, n_coeffs: int, scale: float, clusters_given: bool
+    part: Extent, own: PartCompression, scale: float, clusters_given: bool
 ) -> PartCompression:
     """Scale one part, as far as its factors are fewer numbers than its transfer."""
-    n_verts, n_rows = part.n_vertices, part.n_channels * part.n_terms
-    dims = n_rows * n_coeffs
+    n_verts, n_coeffs = part.n_verts, part.n_coeffs
+    dims = part.n_channels * part.n_terms * n_coeffs
     if own.method == "vq":
         if clusters_given:
             return own
