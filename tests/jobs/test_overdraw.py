@@ -16,6 +16,7 @@ from prtbake_storage.hdf5.transfer import (
     write_transfer_tile,
 )
 from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Results
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.registry import brdf_from_spec
@@ -128,7 +129,9 @@ def test_index_buffers_are_in_the_asset_where_they_were_asked_for(plain, tuned):
 def test_report_and_result_say_it_of_every_asset(store, tmp_path, plain, tuned):
     for results, asset in (plain, tuned):
         written = write(gather("compress", results), TaskContext(store, tmp_path, lambda _: None))
-        result = summary({"report": [written]})
+        ended = Results()
+        ended.add("report", [written], [])
+        result = summary(ended)
         assert result["overdraw"] == pytest.approx(asset.overdraw)
         assert f"a triangle is drawn {asset.overdraw:.2f} times" in result["summary"]
         for index, part in enumerate(result["parts"]):
