@@ -65,10 +65,14 @@ def _panel(
     def at(across: int | float, down: int | float) -> tuple[float, float]:
         return float(FINER * across), float(FINER * down)
 
+    free = 0.0
     for tick in x.ticks():
         across = x.place(tick)
         draw.line([at(across, TOP), at(across, HEIGHT - BOTTOM)], GRID, FINER)
-        draw.text(at(across, HEIGHT - BOTTOM + 14), write(tick), INK, font, anchor="mm")
+        half = draw.textlength(write(tick), font) / FINER / 2
+        if across - half > free:  # words would run into each other
+            draw.text(at(across, HEIGHT - BOTTOM + 14), write(tick), INK, font, anchor="mm")
+            free = across + half
     for tick in y.ticks():
         down = y.place(tick)
         draw.line([at(left + LEFT, down), at(left + WIDTH - RIGHT, down)], GRID, FINER)
