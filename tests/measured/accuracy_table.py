@@ -162,7 +162,7 @@ def foretold(kept: Mapping[str, Kept]) -> list[Foretold]:
 
 def _foretell(point: Mapping[str, Any], beside: Mapping[str, Any]) -> float:
     factors = line_factors(Resolution(**point["resolution"]), Resolution(**beside["resolution"]))
-    lines = {line: factors[number] for line, number in DECIDED_BY.items()}
+    lines = {line: factors[kind] for line, kind in DECIDED_BY.items()}
     return scaled_total(point["error"], point["lines"], lines)[0]
 
 

@@ -58,8 +58,8 @@ def test_terms_that_no_tolerance_chooses():
 
 
 def test_what_cannot_be_run_or_is_open_is_left_out():
-    own = Resolution(0.01, 6144, 642, 64.0, 162, 10_000)
-    coarse = Resolution(0.02, 1536, 162, 32.0, 64, 4_000)
+    own = Resolution(0.01, 6144, 642, 162, 200)
+    coarse = Resolution(0.02, 1536, 162, 64, 80)
 
     def cost_of(terms, settings, quality):
         if quality == "high":

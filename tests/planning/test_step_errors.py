@@ -1,11 +1,13 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_workers.planning.presets import PartCompression
+from prtbake_workers.planning.resolution import vectors_of
 from prtbake_workers.planning.step_errors import (
-    EXPONENTS,
+    POWERS,
     Resolution,
     energy_left,
     light_functions,
@@ -13,33 +15,47 @@ from prtbake_workers.planning.step_errors import (
     scaled_total,
 )
 
-OWN = Resolution(0.01, 6144, 642, 64.0, 162, 10_000)
+OWN = Resolution(0.01, 6144, 642, 162, 200)
+NUMBERS = [field.name for field in fields(Resolution)]
 
 
 def test_a_line_changes_by_what_decides_it_alone():
     same = line_factors(OWN, OWN)
-    assert same == dict.fromkeys(EXPONENTS, 1.0)
+    assert same == dict.fromkeys(POWERS, 1.0)
     fewer = line_factors(OWN, replace(OWN, functions=162))
-    assert fewer.pop("functions") == pytest.approx((162 / 642) ** EXPONENTS["functions"])
+    ratio = 162 / 642
+    assert fewer.pop("basis") == pytest.approx(ratio ** POWERS["basis"]["functions"])
+    # what a coarser basis does not see is not there to be compressed
+    assert fewer.pop("compression") == pytest.approx(ratio ** POWERS["compression"]["functions"])
     assert set(fewer.values()) == {1.0}
-    # fewer functions err by more, terms that leave more too
-    assert line_factors(OWN, replace(OWN, functions=162))["functions"] > 1.0
-    assert line_factors(OWN, replace(OWN, energy_lost=0.04))["energy_lost"] == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("name", list(EXPONENTS))
-def test_there_and_back_is_no_change(name):
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_decides_something_there_and_back(name):
     other = replace(OWN, **{name: 3 * getattr(OWN, name)})
     there, back = line_factors(OWN, other), line_factors(other, OWN)
-    assert there[name] * back[name] == pytest.approx(1.0)
-    assert there[name] != pytest.approx(1.0)
+    assert all(there[kind] * back[kind] == pytest.approx(1.0) for kind in POWERS)
+    # three times as much of it lessens some line, of energy lost three times as little
+    assert min((back if name == "energy_lost" else there).values()) < 0.9
 
 
-@pytest.mark.parametrize("name", list(EXPONENTS))
+@pytest.mark.parametrize("name", NUMBERS)
 def test_what_decides_nothing_scales_nothing(name):
-    """No bounces, a light or a file to a given error, terms that leave nothing."""
+    """A light or a file to a given error, terms that leave nothing."""
     nothing = replace(OWN, **{name: 0 * getattr(OWN, name)})
-    assert line_factors(OWN, nothing)[name] == line_factors(nothing, OWN)[name] == 1.0
+    assert line_factors(OWN, nothing) == line_factors(nothing, OWN) == line_factors(OWN, OWN)
+
+
+@pytest.mark.parametrize(
+    ("compression", "vectors"),
+    [
+        (PartCompression("cta", 10, (8, 48, 24), 16), 240),
+        (PartCompression("cpca", 10, (1, 24, 24), 16), 170),
+        (PartCompression("vq", 170, (1, 24, 24), 0), 170),
+    ],
+)
+def test_vectors_that_vertices_are_mixed_of(compression, vectors):
+    assert vectors_of(compression) == vectors
 
 
 def test_energy_left_is_that_outside_the_terms():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from prtbake_workers.planning.step_errors import EXPONENTS
+from prtbake_workers.planning.step_errors import POWERS
 from prtbake_workers.report.account import make_report
 from prtbake_workers.report.frontier_picture import frontier_png
 from prtbake_workers.report.html import report_page
@@ -29,7 +29,7 @@ OWN = {
 }  # fmt: skip
 MORE = {
     "quality": "high", "seconds": 40.0, "asset_bytes": 3000, "terms": [5],
-    "error_factors": {"energy_lost": 0.5, "functions": 0.25, "factor_floats": 0.1},
+    "error_factors": {"terms": 0.5, "basis": 0.25, "compression": 0.1},
     "measured_seconds": None, "measured_bytes": None,
 }  # fmt: skip
 
@@ -58,7 +58,7 @@ def test_nothing_is_said_without_an_error(budget):
 def test_what_decides_lines_is_known_by_both_sides():
     """A line or a number under another name would silently never change."""
     assert set(DECIDED_BY) <= set(MEANINGS)
-    assert set(DECIDED_BY.values()) == set(EXPONENTS)
+    assert set(DECIDED_BY.values()) == set(POWERS)
 
 
 def test_the_page_shows_measured_and_predicted_and_a_plot():

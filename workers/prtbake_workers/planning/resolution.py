@@ -1,7 +1,7 @@
 """The numbers of a plan that decide how far its asset will be off."""
 
 from prtbake_workers.planning.planned import Plan
-from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.presets import PartCompression, StageSettings
 from prtbake_workers.planning.step_errors import Resolution, light_functions
 
 
@@ -11,14 +11,17 @@ def resolution_of(plan: Plan, settings: StageSettings, energy_lost: float) -> Re
     Compression to a given error decides by that, and not by its sizes.
     """
     bake = settings.planned_bake
-    bounced = plan.bounces is not None and plan.bounces.max_bounces > 0
-    rays = plan.bounces.n_rays if plan.bounces is not None and bounced else ()
-    floats = sum(part.cost.factor_floats for part in plan.parts)
+    vectors = sum(vectors_of(part.compression) for part in plan.parts)
     return Resolution(
         energy_lost=energy_lost,
         directions=6 * (bake.cube_resolution * bake.supersample) ** 2,
         functions=bake.n_coeffs,
-        bounce_rays=sum(rays) / len(rays) if rays else 0.0,
         light_functions=light_functions(settings.fit_light),
-        factor_floats=0 if settings.compress.max_error is not None else floats,
+        vectors=0 if settings.compress.max_error is not None else vectors,
     )
+
+
+def vectors_of(compression: PartCompression) -> int:
+    """Count what a part's vertices are mixed of: of tensors the vertex rank, else mean and PCs."""
+    own = compression.ranks[2] if compression.method == "cta" else 1 + compression.n_components
+    return compression.n_clusters * own

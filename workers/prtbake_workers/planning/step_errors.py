@@ -13,15 +13,17 @@ import numpy as np
 from prtbake_storage.contract.settings import FitLightSettings
 from prtbake_workers.arrays import F64, Float64
 
-EXPONENTS: Mapping[str, float] = {
-    "energy_lost": 0.5,
-    "directions": -0.5,
-    "functions": -0.5,
-    "bounce_rays": -0.5,
-    "light_functions": -0.5,
-    "factor_floats": -0.5,
+POWERS: Mapping[str, Mapping[str, float]] = {
+    "terms": {"energy_lost": 0.4},
+    "visibility": {"directions": -0.27},
+    "basis": {"functions": -0.33},
+    "light": {"light_functions": -0.5},
+    "compression": {"vectors": -0.4, "functions": 0.25},
 }
-"""Of each number: a line, an amplitude, goes as the number to this power."""
+"""Of each kind of line: it goes as these numbers to these powers.
+
+What a finer basis sees is left for compression to lose; bounces did not change with their rays.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,33 +38,36 @@ class Resolution:
         Rays a vertex in which visibility is known.
     functions
         Of the basis that transport is projected on.
-    bounce_rays
-        Of a vertex in the first bounce, over all parts in the mean.
     light_functions
         Lobes, harmonics or wavelets of the light.
-    factor_floats
-        Numbers that the factors of all parts hold.
+    vectors
+        That vertices are mixed of, summed over clusters and parts.
     """
 
     energy_lost: float
     directions: int
     functions: int
-    bounce_rays: float
     light_functions: int
-    factor_floats: int
+    vectors: int
 
 
 def line_factors(own: Resolution, other: Resolution) -> dict[str, float]:
     """Predict each kind of line at ``other``, over the same line at ``own``.
 
-    A number that is 0 at either decides nothing that could be scaled: its factor is 1.
+    A number that is 0 at either decides nothing that could be scaled.
     """
     before, after = asdict(own), asdict(other)
     return {
-        name: float((after[name] / before[name]) ** exponent)
-        if before[name] > 0 and after[name] > 0
-        else 1.0
-        for name, exponent in EXPONENTS.items()
+        kind: float(
+            np.prod(
+                [
+                    (after[name] / before[name]) ** power
+                    for name, power in powers.items()
+                    if before[name] > 0 and after[name] > 0
+                ]
+            )
+        )
+        for kind, powers in POWERS.items()
     }
 
 

@@ -9,29 +9,27 @@ from typing import Any
 from prtbake_workers.planning.step_errors import scaled_total
 from prtbake_workers.validation.chain import (
     BASIS_LINES,
-    BOUNCED_LINE,
     MERGED_LINE,
 )
 
 DECIDED_BY: Mapping[str, str] = {
-    "K terms": "energy_lost",
-    "visibility sampling": "directions",
-    BASIS_LINES["srbf"]: "functions",
-    BASIS_LINES["sh"]: "functions",
-    BOUNCED_LINE: "bounce_rays",
-    "light fit": "light_functions",
-    "compression": "factor_floats",
-    "rounded factors": "factor_floats",
-    MERGED_LINE: "factor_floats",
+    "K terms": "terms",
+    "visibility sampling": "visibility",
+    BASIS_LINES["srbf"]: "basis",
+    BASIS_LINES["sh"]: "basis",
+    "light fit": "light",
+    "compression": "compression",
+    "rounded factors": "compression",
+    MERGED_LINE: "compression",
 }
-"""Line of the error budget -> the number of `Resolution` that decides it."""
+"""Line of the error budget -> its kind in `POWERS`."""
 
 PREDICTED_BY = (
     "Seconds and bytes of a step are those that planning predicts, times what this asset measured "
     "over what was predicted of it. Its error is this asset's, each line of the error budget "
-    "multiplied by a power of the ratio of the numbers that decide it (energy that terms leave, "
-    "directions, functions of the basis, bounce rays, functions of the light, numbers that "
-    "compression keeps), the others as they are; how far lines cancel is taken to stay."
+    "multiplied by powers of the ratios of the numbers that decide it (energy that terms leave, "
+    "directions, functions of the basis, functions of the light, vectors of the compression), the "
+    "others as they are; how far lines cancel is taken to stay."
 )
 
 
@@ -58,9 +56,9 @@ def frontier(
         if step["quality"] is None:
             continue
         factors = {
-            line: step["error_factors"][number]
-            for line, number in DECIDED_BY.items()
-            if number in step["error_factors"]
+            line: step["error_factors"][kind]
+            for line, kind in DECIDED_BY.items()
+            if kind in step["error_factors"]
         }
         error, scaled = scaled_total(budget["total"], lines, factors)
         steps.append(
