@@ -194,7 +194,14 @@ def test_points_of_an_asset_share_the_bake(ball, store):
         assert point["check_seconds"] > 0
         assert point["error"] > 0
         assert point["noise"] is not None
+        # the total is no more than its lines together
+        assert point["error"] <= 1.001 * sum(point["lines"].values())
     assert points[0]["error"] != points[1]["error"]
+    # of all that decides the lines the clusters alone differ, threefold
+    few, many = (point["resolution"] for point in points)
+    assert many["vectors"] == 3 * few["vectors"]
+    assert few | {"vectors": 0} == many | {"vectors": 0}
+    assert few["functions"] == 42
     # negative twin: another number of directions is another bake
     other, context = study_of(base, {"settings.bake.cube_resolution": [12, 8]}, own)
     planned, tiles, *_ = REGISTRY.stages("study", other, context)
