@@ -19,6 +19,8 @@ from prtbake_workers.jobs import report
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.plan import repairs
 from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.jobs.work import asset_memory
+from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from support.local_stages import registered, run_stages
 from support.scenes import (
@@ -343,7 +345,7 @@ def lines_of(results):
 
 
 def test_estimate_plans_without_running(glossy_asset, store):
-    request, context, _ = glossy_asset
+    request, context, results_of_job = glossy_asset
     quick = {"request": {"kind": "asset", **request}}
     results = run_stages(REGISTRY.stages("estimate", quick, context), store)
     estimate = REGISTRY.finish("estimate", quick, context, results).result
@@ -357,6 +359,13 @@ def test_estimate_plans_without_running(glossy_asset, store):
     assert set(estimate["artefact_bytes"]) == {
         "transfer.h5", "asset.h5", "asset-float32.h5", "light.h5",
     }  # fmt: skip
+    # all other files that the job leaves, by name, none of them larger
+    left = REGISTRY.finish("asset", request, context, results_of_job).artefacts
+    others = {file.name: store.size(file.digest) for file in left}
+    at_most = estimate["artefact_bytes_at_most"]
+    assert set(at_most) == set(others) - set(estimate["artefact_bytes"])
+    assert all(others[name] <= bound for name, bound in at_most.items())
+    assert at_most["report.html"] > at_most["validation-front.png"]
     # with more workers it lasts less, down to what no other worker can help with
     lasting = {}
     for slots in (0, 1, 2, 1000):
@@ -433,10 +442,21 @@ def test_estimates_of_the_other_kinds_know_their_inputs(glossy_asset, store):
 
     render = predict("render", "asset", "light", settings={})
     assert render["total_seconds"] > render["seconds"]["render"] > 0.0
-    assert render["peak_memory_bytes"] is None
+    assert set(render["artefact_bytes_at_most"]) == {
+        "preview-front.png", "preview-front.exr", "report.json", "report.html",
+    }  # fmt: skip
 
     roles = ("transfer", "asset", "light")
-    assert predict("validate", *roles, settings=settings["validation"])["total_seconds"] > 0
+    validate = predict("validate", *roles, settings=settings["validation"])
+    assert validate["total_seconds"] > 0
+    # of a stage's process as of the same stage in the whole job, whose plan knew the scene
+    peaks = asset_memory(
+        results["plan"][0]["plan"], StageSettings.from_dict(results["plan"][0]["settings"]), context
+    )
+    assert validate["peak_memory_bytes"] == peaks["validate"]
+    fit = predict("fit_light", settings=settings["fit_light"])
+    assert fit["peak_memory_bytes"] == peaks["fit_light"]
+    assert render["peak_memory_bytes"] > fit["peak_memory_bytes"]
     other = registered(store, "environment", builtin={"name": "hall", "width": 32})
     with pytest.raises(InputError, match="another environment"):
         predict("validate", *roles, settings={}, environment=other)

@@ -4,6 +4,7 @@ import pytest
 
 from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
 from prtbake_workers.planning.cost import CHILD_BYTES
+from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.stage_memory import (
@@ -88,3 +89,22 @@ def test_the_other_stages_grow_with_what_they_hold():
     few, many = (fit_memory_bytes(FitLightSettings(n_lobes=n), n_texels=1 << 17) for n in (9, 90))
     assert many > few
     assert fit_memory_bytes(FitLightSettings(n_lobes=90), n_texels=64) < many
+
+
+def test_a_fit_holds_the_pieces_of_the_map():
+    """Measured on the built-in maps, MB: a hall of lamps 128 texels wide, and a sun 512 wide."""
+    hall, sun = FitSamples(30_584, 108_274, 244_738), FitSamples(132_296, 137_246, 145_664)
+    lobes = [FitLightSettings(n_lobes=n) for n in (107, 162)]
+    assert fit_memory_bytes(lobes[0], n_texels=8192, samples=hall) == pytest.approx(201e6, rel=0.1)
+    assert fit_memory_bytes(lobes[1], n_texels=1 << 17, samples=sun) == pytest.approx(
+        231e6, rel=0.1
+    )
+    # negative twin: by its texels the hall would be another's
+    assert fit_memory_bytes(lobes[0], n_texels=8192) < 0.85 * 201e6
+    for method, fields, measured in (
+        ("sh", {"sh_order": 18}, 165e6),
+        ("srbf_uniform", {"n_centres": 642}, 270e6),
+        ("wavelet", {"resolution": 64}, 279e6),
+    ):
+        settings = FitLightSettings(method=method, **fields)
+        assert fit_memory_bytes(settings, n_texels=1 << 17) == pytest.approx(measured, rel=0.1)

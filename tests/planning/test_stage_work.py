@@ -13,6 +13,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.planning.rates import SHIPPED
 from prtbake_workers.planning.seen_pixels import SeenPixels
@@ -193,3 +194,16 @@ def test_a_fit_sees_no_more_cells_than_texels():
     assert small["entries"] <= 2.0 * 64 * 512 * (2 * 10 + 8 + 8)
     assert small["texel_flops"] * 256 == pytest.approx(large["texel_flops"])
     assert small["entries"] < large["entries"]
+
+
+def test_a_fit_s_work_goes_by_what_a_map_is_cut_into_and_not_by_its_texels():
+    lamps = FitSamples(moving=30_000, solving=108_000, judging=245_000)
+    for settings in (FitLightSettings(n_lobes=64), FitLightSettings(max_error=0.1)):
+        plain, split = (fit_work(settings, n_texels=8192, samples=s) for s in (None, lamps))
+        assert split["texel_flops"] > 10 * plain["texel_flops"]
+        assert split["entries"] > plain["entries"]
+    wavelets = [
+        fit_work(FitLightSettings(method="wavelet", resolution=n), n_texels=512)["entries"]
+        for n in (16, 64)
+    ]
+    assert wavelets[1] > 12 * wavelets[0]

@@ -330,12 +330,15 @@ class Estimate(Wire):
     ``seconds`` are those of each stage's tasks, added up; ``total_seconds`` is how long the job
     would last on the workers that live now, if it had them for itself.  Both go by the rates of the
     last calibration (``prtbake calibrate``) or those that are shipped, and by what later jobs took.
+    ``artefact_bytes`` are predicted; pictures and reports go by what they show, and have a bound in
+    ``artefact_bytes_at_most``.
     """
 
     plan: dict[str, Any]
     seconds: dict[str, float]
     total_seconds: float | None
     artefact_bytes: dict[str, int]
+    artefact_bytes_at_most: dict[str, int] = Field(default_factory=dict)
     peak_memory_bytes: int | None
     errors: dict[str, float]
     warnings: list[str] = Field(default_factory=list)

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from prtbake_workers.environment.environment import Environment
+from prtbake_workers.environment.fit.cells import count_samples
+from prtbake_workers.environment.fit.target import FINE_ROWS
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,11 @@ class EnvironmentReport:
 
 
 def light_statistics(environment: Environment) -> dict[str, Any]:
-    """Summarise the light: mean per channel, luminance range, and how concentrated the power is."""
+    """Summarise the light: mean per channel, luminance range, and how concentrated the power is.
+
+    ``samples`` are those that fits move, solve and judge scattered lobes in, as many as are asked
+    for and as few as leave an error.
+    """
     luminance = environment.luminance.ravel()
     solid_angles = environment.solid_angles()
     order = np.argsort(luminance)[::-1]
@@ -62,4 +68,8 @@ def light_statistics(environment: Environment) -> dict[str, Any]:
         "power_in_brightest_thousandth": (
             float(power[: max(1, int(brightest.sum()))].sum()) / total if total > 0 else 0.0
         ),
+        "samples": {
+            "number": count_samples(environment),
+            "error": count_samples(environment, FINE_ROWS),
+        },
     }

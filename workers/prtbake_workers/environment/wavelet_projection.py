@@ -90,4 +90,9 @@ def wavelet_samples(environment: Environment, resolution: int) -> Cells:
 
     In the corner of a face, where texels are a third as wide as in its middle, at least one does.
     """
-    return fine_texels(environment, 2.0 / resolution / _SAMPLES_ACROSS)
+    return fine_texels(environment, finest_of_wavelets(resolution))
+
+
+def finest_of_wavelets(resolution: int) -> float:
+    """Give the width of the samples, in radians."""
+    return 2.0 / resolution / _SAMPLES_ACROSS

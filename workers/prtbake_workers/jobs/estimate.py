@@ -22,15 +22,17 @@ from prtbake_storage.contract.jobs import (
 from prtbake_storage.contract.settings import (
     BakeSettings,
     CompressSettings,
+    FitLightSettings,
     RenderSettings,
     ValidateSettings,
 )
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics, TransferBasis
 from prtbake_storage.hdf5.light import read_light
 from prtbake_storage.hdf5.reader import read_asset
-from prtbake_storage.hdf5.transfer import TransferHeader, open_transfer
+from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
+from prtbake_workers.brdf.oriented_factorisation import OrientedFactorisation
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.jobs import calibrate, study_estimate
@@ -38,10 +40,22 @@ from prtbake_workers.jobs.compress import compressions_of, work_of
 from prtbake_workers.jobs.lights import light_source, load_light
 from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.validate import check_kinship, scene_of
-from prtbake_workers.jobs.work import Work, asset_memory, asset_work, n_texels, rates_of
+from prtbake_workers.jobs.work import (
+    Work,
+    asset_memory,
+    asset_work,
+    fit_samples,
+    n_texels,
+    rates_of,
+)
 from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats, part_cost
 from prtbake_workers.planning.file_bytes import PartNumbers, asset_bytes, known_bytes, light_bytes
 from prtbake_workers.planning.later_stages import REPORT_WORK
+from prtbake_workers.planning.picture_bytes import (
+    preview_files,
+    validation_files,
+    with_reports,
+)
 from prtbake_workers.planning.presets import (
     PartCompression,
     PlannedBake,
@@ -50,6 +64,12 @@ from prtbake_workers.planning.presets import (
 )
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from prtbake_workers.planning.seen_pixels import look
+from prtbake_workers.planning.stage_memory import (
+    Lobe,
+    fit_memory_bytes,
+    render_memory_bytes,
+    validate_memory_bytes,
+)
 from prtbake_workers.planning.stage_work import fit_work, render_work, validate_work
 from prtbake_workers.planning.uncounted import uncounted
 
@@ -112,10 +132,7 @@ def predict(
             return _compress(request.settings, given, store)
         case FitLightRequest():
             load_light(store, light_source(given))
-            work = {"fit_light": fit_work(request.settings, n_texels=n_texels(given))}
-            return _only("fit_light", work, given).model_copy(
-                update={"artefact_bytes": {"light.h5": light_bytes(request.settings)}}
-            )
+            return _fit_light(request.settings, given)
         case RenderRequest():
             return _render(request.settings, given, store)
         case ValidateRequest():
@@ -152,6 +169,10 @@ def _scene(
         seconds=seconds,
         total_seconds=lasting,
         artefact_bytes={name: plan.artefact_bytes[name] for name in files},
+        artefact_bytes_at_most=with_reports(
+            {} if alone else preview_files(resolved.render) | validation_files(resolved.validation),
+            n_parts=len(plan.parts),
+        ),
         peak_memory_bytes=max(
             count
             for stage, count in asset_memory(plan.to_dict(), resolved, given).items()
@@ -199,6 +220,7 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
         seconds=seconds,
         total_seconds=lasting,
         artefact_bytes=_asset_files(header, compressions, settings),
+        artefact_bytes_at_most=with_reports({}, n_parts=len(header.parts)),
         peak_memory_bytes=compress_memory_bytes(costs),
         errors={},
         warnings=list(uncounted(settings).values()),
@@ -258,25 +280,57 @@ def _validate(settings: ValidateSettings, given: dict[str, Any], store: BlobStor
     check_kinship(digests | {"environment": light_source(given)}, store)
     with open_transfer(store.local_path(digests["transfer"])) as transfer:
         header = transfer.header
-    scene = scene_of(header)
+    scene, bake = scene_of(header), PlannedBake.model_validate(header.provenance["bake"])
     media = [index for index, part in enumerate(header.parts) if part.subsurface is not None]
-    work = validate_work(
-        settings,
-        PlannedBake.model_validate(header.provenance["bake"]),
-        seen=look(
-            scene,
-            Accelerator(scene.positions, scene.traced_faces),
-            settings.cameras,
-            width=settings.width,
-            height=settings.height,
-            object_ranges=[part.vertex_range for part in header.parts if part.role == "object"],
-            media=media,
-        ),
-        n_terms=max(part.n_terms for part in header.parts),
-        n_texels=n_texels(given),
-        baked_bounces=bool(header.provenance.get("interreflection")),
+    seen = look(
+        scene,
+        Accelerator(scene.positions, scene.traced_faces),
+        settings.cameras,
+        width=settings.width,
+        height=settings.height,
+        object_ranges=[part.vertex_range for part in header.parts if part.role == "object"],
+        media=media,
     )
-    return _only("validate", {"validate": work}, given)
+    lit: dict[str, Any] = {
+        "seen": seen,
+        "n_texels": n_texels(given),
+        "baked_bounces": bool(header.provenance.get("interreflection")),
+    }
+    terms = [part.n_terms for part in header.parts]
+    return _only(
+        "validate",
+        {"validate": validate_work(settings, bake, n_terms=max(terms), **lit)},
+        given,
+        memory_bytes=validate_memory_bytes(
+            settings,
+            bake=bake,
+            part_terms=terms,
+            lobes=[_lobe_of(part) for part in header.parts],
+            **lit,
+        ),
+        at_most=validation_files(settings),
+        n_parts=len(terms),
+    )
+
+
+def _lobe_of(part: TransferPart) -> Lobe:
+    """Say what a stored part has beside its diffuse reflection."""
+    if part.material["model"] == "lambert":
+        return "none"
+    tables = factorisation_from_tables(part.factorisation or {})
+    return "anisotropic" if isinstance(tables, OrientedFactorisation) else "isotropic"
+
+
+def _fit_light(settings: FitLightSettings, given: dict[str, Any]) -> Estimate:
+    """Predict from what the registration counted of the map."""
+    texels, samples = n_texels(given), fit_samples(settings, given)
+    return _only(
+        "fit_light",
+        {"fit_light": fit_work(settings, n_texels=texels, samples=samples)},
+        given,
+        memory_bytes=fit_memory_bytes(settings, n_texels=texels, samples=samples),
+        files={"light.h5": light_bytes(settings)},
+    )
 
 
 def _render(settings: RenderSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
@@ -285,18 +339,35 @@ def _render(settings: RenderSettings, given: dict[str, Any], store: BlobStore) -
     read_light(store.local_path(given["artefacts"]["light"]["digest"]))
     values = sum(part.n_vertices * part.n_channels * len(part.view_basis) for part in asset.parts)
     work = render_work(settings, n_verts=len(asset.positions), n_values=values)
-    return _only("render", {"render": work}, given)
+    return _only(
+        "render",
+        {"render": work},
+        given,
+        memory_bytes=render_memory_bytes(settings),
+        at_most=preview_files(settings),
+        n_parts=len(asset.parts),
+    )
 
 
-def _only(kind: str, work: Work, given: dict[str, Any]) -> Estimate:
-    """Predict the seconds of a job of one stage and its report."""
+def _only(
+    kind: str,
+    work: Work,
+    given: dict[str, Any],
+    *,
+    memory_bytes: int,
+    files: dict[str, int] | None = None,
+    at_most: dict[str, int] | None = None,
+    n_parts: int = 0,
+) -> Estimate:
+    """Predict a job of one stage and its report."""
     seconds, lasting = _durations(work | {"report": REPORT_WORK}, given)
     return Estimate(
         plan={"kind": kind, "work": work},
         seconds=seconds,
         total_seconds=lasting,
-        artefact_bytes={},
-        peak_memory_bytes=None,
+        artefact_bytes=files or {},
+        artefact_bytes_at_most=with_reports(at_most or {}, n_parts=n_parts),
+        peak_memory_bytes=memory_bytes,
         errors={},
     )
 

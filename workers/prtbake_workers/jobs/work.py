@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from prtbake_storage.contract.rates import NewRates
+from prtbake_storage.contract.settings import FitLightSettings
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.planning.later_stages import (
     DEFAULT_TEXELS,
@@ -11,6 +12,7 @@ from prtbake_workers.planning.later_stages import (
     later_memory,
     later_work,
 )
+from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
@@ -30,6 +32,13 @@ def n_texels(context: Mapping[str, Any]) -> int:
     )
 
 
+def fit_samples(settings: FitLightSettings, context: Mapping[str, Any]) -> FitSamples | None:
+    """Say in how many samples a light is fitted; None where its registration did not count them."""
+    found = context.get("environment", {}).get("understood", {}).get("statistics", {})
+    kind = "number" if settings.max_error is None else "error"
+    return FitSamples(*found["samples"][kind]) if "samples" in found else None
+
+
 def asset_work(
     plan: Mapping[str, Any], settings: StageSettings, context: Mapping[str, Any]
 ) -> Work:
@@ -44,6 +53,7 @@ def asset_work(
         part_terms=[part["n_terms"] for part in plan["parts"]],
         seen=[SeenPixels(**one) for one in plan["seen"]],
         n_texels=n_texels(context),
+        samples=fit_samples(settings.fit_light, context),
         baked_bounces=_bounced(plan),
     )
 
@@ -59,6 +69,7 @@ def asset_memory(
         lobes=[part["lobe"] for part in plan["parts"]],
         seen=[SeenPixels(**one) for one in plan["seen"]],
         n_texels=n_texels(context),
+        samples=fit_samples(settings.fit_light, context),
         baked_bounces=_bounced(plan),
     )
 

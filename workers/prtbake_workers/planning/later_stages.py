@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.stage_memory import (
@@ -26,11 +27,12 @@ def later_work(
     part_terms: Sequence[int],
     seen: Sequence[SeenPixels],
     n_texels: int = DEFAULT_TEXELS,
+    samples: FitSamples | None = None,
     baked_bounces: bool,
 ) -> dict[str, dict[str, float]]:
     """Count the work; ``n_verts`` and ``part_terms`` are those of each part."""
     return {
-        "fit_light": fit_work(settings.fit_light, n_texels=n_texels),
+        "fit_light": fit_work(settings.fit_light, n_texels=n_texels, samples=samples),
         "render": render_work(
             settings.render,
             n_verts=sum(n_verts),
@@ -55,11 +57,12 @@ def later_memory(
     lobes: Sequence[Lobe],
     seen: Sequence[SeenPixels],
     n_texels: int = DEFAULT_TEXELS,
+    samples: FitSamples | None = None,
     baked_bounces: bool,
 ) -> dict[str, int]:
     """Predict the memory; validation is left out where no camera was looked through."""
     found = {
-        "fit_light": fit_memory_bytes(settings.fit_light, n_texels=n_texels),
+        "fit_light": fit_memory_bytes(settings.fit_light, n_texels=n_texels, samples=samples),
         "render": render_memory_bytes(settings.render),
         "report": REPORT_BYTES,
     }

@@ -13,9 +13,16 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
+from prtbake_storage.decode.light import VALUES_AT_A_TIME
 from prtbake_storage.decode.transfer_basis import LIGHT_CHUNK
+from prtbake_workers.environment.fit.objective import SOLVED_AT_A_TIME
 from prtbake_workers.planning.cost import CHILD_BYTES
-from prtbake_workers.planning.light_pieces import cut_texels, spacing_of
+from prtbake_workers.planning.light_pieces import (
+    FitSamples,
+    cut_texels,
+    projected_pieces,
+    spacing_of,
+)
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
@@ -27,6 +34,9 @@ REPORT_BYTES = 121_000_000
 FIT_BYTES = 124_000_000
 RENDER_BYTES = 165_000_000
 """Of the interpreter with what each imports; of rendering with its drivers too."""
+
+FIT_SAMPLE_BYTES, PIECE_BYTES = 112, 137
+"""Of a sample of the light that lobes are fitted in, and of a piece that it is projected from."""
 
 PIXEL_BYTES = 370
 """Of a preview, at four points a pixel."""
@@ -69,12 +79,25 @@ def quantise_memory_bytes(parts: Sequence[tuple[int, int]]) -> int:
     return CHILD_BYTES + REBUILT_BYTES * most
 
 
-def fit_memory_bytes(settings: FitLightSettings, *, n_texels: int) -> int:
-    """Predict what a light fit holds: four arrays of cells by lobes."""
+def fit_memory_bytes(
+    settings: FitLightSettings, *, n_texels: int, samples: FitSamples | None = None
+) -> int:
+    """Predict what a light fit holds: the map's samples, and lobes in many of them at once.
+
+    No ``samples`` are those of a map without a bright texel.
+    """
     if settings.method != "srbf_scattered":
-        return FIT_BYTES + 64 * n_texels
-    lobes = min(settings.n_lobes or 0, n_texels)
-    return FIT_BYTES + 32 * min(96 * lobes + 4096, n_texels) * lobes
+        pieces = projected_pieces(settings, n_texels)
+        functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
+        arrays = 4 if settings.method == "srbf_uniform" else 1
+        at_once = min(VALUES_AT_A_TIME, pieces * functions)
+        return FIT_BYTES + PIECE_BYTES * pieces + 8 * arrays * at_once
+    own = samples or FitSamples.unsplit(n_texels)
+    lobes = min(settings.n_lobes or 0, own.moving)
+    moving = 32 * min(96 * lobes + 4096, own.moving) * lobes
+    solving = FIT_SAMPLE_BYTES * (own.moving + own.solving + own.judging)
+    solving += 24 * min(SOLVED_AT_A_TIME, own.solving) * lobes
+    return FIT_BYTES + max(moving, solving)
 
 
 def render_memory_bytes(settings: RenderSettings) -> int:

@@ -12,6 +12,7 @@ from prtbake_storage.contract.settings import (
     RenderSettings,
     ValidateSettings,
 )
+from prtbake_workers.planning.light_pieces import FitSamples, projected_pieces
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.planning.rates import Amounts
 from prtbake_workers.planning.seen_pixels import SeenPixels
@@ -226,33 +227,36 @@ def quantise_work(
     }
 
 
-def fit_work(settings: FitLightSettings, *, n_texels: int) -> dict[str, float]:
-    """Count what a fit does: lobes evaluated on cells, their Gram matrices, all texels.
+def fit_work(
+    settings: FitLightSettings, *, n_texels: int, samples: FitSamples | None = None
+) -> dict[str, float]:
+    """Count what a fit does: lobes evaluated on cells, their Gram matrices, all samples.
 
-    The cells of a level are at most as many as the environment has texels; two evaluations a step.
-    A target for the error is taken to ask for as many lobes as it may.  Functions of other methods
-    are evaluated in every texel, twice.
+    The cells of a level are at most as many as lobes move in; two evaluations a step.  A target for
+    the error is taken to ask for as many lobes as it may.  Functions of other methods are evaluated
+    in every piece, twice.  No ``samples`` are those of a map without a bright texel.
     """
     if settings.method != "srbf_scattered":
         functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
         return {
             "tasks": 1.0,
-            "entries": 2.0 * n_texels * (1 + functions),
+            "entries": 2.0 * projected_pieces(settings, n_texels) * (1 + functions),
             "flops": 0.0,
             "texel_flops": 0.0,
         }
-    lobes, rounds = min(settings.n_lobes or 0, n_texels), settings.max_iterations or 0
+    own = samples or FitSamples.unsplit(n_texels)
+    lobes, rounds = min(settings.n_lobes or 0, own.moving), settings.max_iterations or 0
     levels = (
         (2 * 10 * rounds, 9 * lobes),
         (8 * rounds, 32 * lobes),
         (8 * rounds, 96 * lobes + 4096),
     )
-    evaluations = [(steps, min(max(cells, 384), n_texels)) for steps, cells in levels]
+    evaluations = [(steps, min(max(cells, 384), own.moving)) for steps, cells in levels]
     return {
         "tasks": 1.0,
         "entries": float(sum(steps * cells * lobes for steps, cells in evaluations)),
         "flops": float(sum(2 * steps * cells * lobes**2 for steps, cells in evaluations)),
-        "texel_flops": 2.0 * n_texels * lobes * (lobes + 20),
+        "texel_flops": 2.0 * lobes * (own.solving * lobes + 20 * own.judging),
     }
 
 

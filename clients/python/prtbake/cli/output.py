@@ -102,6 +102,9 @@ def print_estimate(estimate: Estimate, output: Output) -> None:
         parts.append(f"about [bold]{human_seconds(estimate.total_seconds)}[/]")
     if estimate.artefact_bytes:
         parts.append(f"{human_bytes(sum(estimate.artefact_bytes.values()))} of artefacts")
+    if estimate.artefact_bytes_at_most:
+        most = human_bytes(sum(estimate.artefact_bytes_at_most.values()))
+        parts.append(f"at most {most} of pictures and reports")
     if estimate.peak_memory_bytes is not None:
         parts.append(f"{human_bytes(estimate.peak_memory_bytes)} of memory at the peak")
     out.print(", ".join(parts) or "its inputs fit; what it costs is not predicted")

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
-from prtbake_workers.arrays import F64, I64, Float64, Int64
+from prtbake_workers.arrays import B8, F64, I64, Bool, Float64, Int64
 from prtbake_workers.environment.environment import Environment, directions_from_angles
 
 MAX_FACE_CELLS = 1 << 12
@@ -59,7 +59,22 @@ class FitSamples(NamedTuple):
 
 def fit_samples(environment: Environment, rows: int = SPLIT_ROWS) -> FitSamples:
     """Sample a map with ``rows`` rows of parts of a bright texel, and with two and three times."""
-    return FitSamples(*(environment_texels(environment, k * rows + k - 1) for k in (1, 2, 3)))
+    return FitSamples(*(environment_texels(environment, own) for own in _row_counts(rows)))
+
+
+def count_samples(environment: Environment, rows: int = SPLIT_ROWS) -> tuple[int, int, int]:
+    """Count what `fit_samples` gives, without making it."""
+    height, width = environment.height, environment.width
+    counts = []
+    for own in _row_counts(rows):
+        hot = _hot_texels(environment, own).reshape(height, width).sum(axis=1)
+        columns = np.array([_split_columns(row, height, width, own) for row in range(height)])
+        counts.append(int(height * width + hot @ (own * columns - 1)))
+    return counts[0], counts[1], counts[2]
+
+
+def _row_counts(rows: int) -> tuple[int, int, int]:
+    return rows, 2 * rows + 1, 3 * rows + 2
 
 
 def environment_texels(environment: Environment, rows: int = SPLIT_ROWS) -> Cells:
@@ -70,6 +85,18 @@ def environment_texels(environment: Environment, rows: int = SPLIT_ROWS) -> Cell
     sun in that texel sends out.
     """
     height, width = environment.height, environment.width
+    solid_angles = environment.solid_angles()
+    hot = _hot_texels(environment, rows)
+    radiance = environment.radiance.reshape(-1, 3).astype(np.float64)
+    parts = [Cells(environment.directions()[~hot], radiance[~hot], solid_angles[~hot])]
+    for texel in np.flatnonzero(hot):
+        directions, areas = _split_texel(int(texel), height, width, rows)
+        parts.append(Cells(directions, np.repeat(radiance[[texel]], len(areas), axis=0), areas))
+    return Cells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _hot_texels(environment: Environment, rows: int) -> Bool[B8, " texels"]:
+    """Mark the texels that are split: the brightest and their neighbours, while there is room."""
     luminance = environment.luminance
     solid_angles = environment.solid_angles()
     hot = luminance > clip_level(luminance.ravel(), solid_angles)
@@ -79,12 +106,7 @@ def environment_texels(environment: Environment, rows: int = SPLIT_ROWS) -> Cell
         power = np.where(hot, luminance.ravel() * solid_angles, 0.0)
         hot = np.zeros_like(hot)
         hot[np.argsort(power, kind="stable")[::-1][:most]] = True
-    radiance = environment.radiance.reshape(-1, 3).astype(np.float64)
-    parts = [Cells(environment.directions()[~hot], radiance[~hot], solid_angles[~hot])]
-    for texel in np.flatnonzero(hot):
-        directions, areas = _split_texel(int(texel), height, width, rows)
-        parts.append(Cells(directions, np.repeat(radiance[[texel]], len(areas), axis=0), areas))
-    return Cells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return hot
 
 
 def clip_level(luminance: Float64[F64, " texels"], solid_angles: Float64[F64, " texels"]) -> float:
@@ -192,13 +214,18 @@ def _squared_of_sums(sums: Cells) -> Float64[F64, " cells"]:
     return np.asarray((sums.radiance**2).sum(axis=1) / sums.solid_angles)
 
 
+def _split_columns(row: int, height: int, width: int, rows: int) -> int:
+    """Count the columns of parts of a texel in a row of the map."""
+    middle = np.sin((row + 0.5) / height * np.pi)
+    return max(1, round(rows * float(middle) * 2 * height / width))
+
+
 def _split_texel(
     texel: int, height: int, width: int, rows: int
 ) -> tuple[Float64[F64, "parts 3"], Float64[F64, " parts"]]:
     """Split a lat-long texel into rows and as many columns as make the parts nearly square."""
     row, column = divmod(texel, width)
-    middle = np.sin((row + 0.5) / height * np.pi)
-    n_columns = max(1, round(rows * float(middle) * 2 * height / width))
+    n_columns = _split_columns(row, height, width, rows)
     edges = np.cos((row + np.arange(rows + 1) / rows) / height * np.pi)
     azimuth = (column + (np.arange(n_columns) + 0.5) / n_columns) * (2 * np.pi / width) - np.pi
     directions = directions_from_angles(

@@ -17,7 +17,7 @@ of lobes that nearly coincide, and moves the error of others in the sixth digit.
 _REGION_FACE_CELLS = 16
 """Regions along a cube's edge, 5.6 degrees each: about what 642 lobes of transfer tell apart."""
 
-_ROWS_AT_A_TIME = 1 << 14
+SOLVED_AT_A_TIME = 1 << 14
 
 
 class Lobes(NamedTuple):
@@ -198,4 +198,4 @@ def squared_error(lobes: Lobes, coefficients: Float64[F64, "lobes 3"], texels: C
 def _rows(texels: Cells) -> list[slice]:
     """Cut the texels into blocks that fit the cache."""
     n = len(texels.solid_angles)
-    return [slice(i, min(i + _ROWS_AT_A_TIME, n)) for i in range(0, n, _ROWS_AT_A_TIME)]
+    return [slice(i, min(i + SOLVED_AT_A_TIME, n)) for i in range(0, n, SOLVED_AT_A_TIME)]
