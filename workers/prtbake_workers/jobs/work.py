@@ -33,7 +33,12 @@ def n_texels(context: Mapping[str, Any]) -> int:
 
 
 def fit_samples(settings: FitLightSettings, context: Mapping[str, Any]) -> FitSamples | None:
-    """Say in how many samples a light is fitted; None where its registration did not count them."""
+    """Say in how many samples a light is fitted; None where its registration did not count them.
+
+    Nor does one of several lights say it of their sum.
+    """
+    if context.get("lights"):
+        return None
     found = context.get("environment", {}).get("understood", {}).get("statistics", {})
     kind = "number" if settings.max_error is None else "error"
     return FitSamples(*found["samples"][kind]) if "samples" in found else None
