@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32
-from prtbake_workers.compress.energy import row_chunks, row_energy, row_energy_by_chunks
+from prtbake_workers.compress.energy import row_chunks, row_energy
 from prtbake_workers.compress.parallel import map_in_order
 
 CHUNK_BYTES = 8 << 20
