@@ -6,6 +6,7 @@ import pytest
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.compress.cpca import METHODS, compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.cta_adaptive import with_own_ranks
 from prtbake_workers.compress.deadline import SLACK, Deadline, ends_by, time_for
 from prtbake_workers.compress.methods import Fit
 from prtbake_workers.compress.to_error import Scaled, compress_to_error
@@ -57,6 +58,16 @@ def test_without_time_tensors_are_those_of_one_step(glossy):
         found = compress_cta(glossy, 4, CtaRanks(4, 12, 8), seed=1)
     assert found.iterations == 1
     assert found.squared_error_ratio < 0.2
+
+
+def test_without_time_tensors_keep_even_ranks(glossy):
+    even = compress_cta(glossy, 4, CtaRanks(4, 12, 8), seed=1, max_iterations=2)
+    deadline = Deadline(0.0)
+    with ends_by(deadline):
+        assert with_own_ranks(even, glossy) is even
+    assert deadline.hit
+    with ends_by(Deadline(600.0)):
+        assert with_own_ranks(even, glossy).squared_error_ratio < even.squared_error_ratio
 
 
 def test_a_deadline_that_is_not_hit_changes_nothing(glossy):

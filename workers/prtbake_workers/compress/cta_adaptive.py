@@ -5,6 +5,7 @@ where shadows meet need many.  What [Sloan2003]_ section 4.3 does for components
 done here for the three ranks of a tensor.
 """
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +27,7 @@ from prtbake_workers.compress.cluster_factors import (
 )
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks, padded
+from prtbake_workers.compress.deadline import time_for
 from prtbake_workers.compress.gram_eigh import leading_row_space
 from prtbake_workers.compress.inputs import checked_signal, checked_vertex_weights
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
@@ -62,7 +64,8 @@ def with_own_ranks(
     Returns
     -------
     CtaModel
-        At most as many numbers and no more error: ``model`` itself where no other ranks do better.
+        At most as many numbers and no more error: ``model`` itself where no other ranks do better,
+        or a deadline leaves no time for all clusters.
         View ranks are at most those of ``model``, whose view basis it keeps: a cluster of view rank
         r uses the first r columns.  A cluster that weighs nothing has no ranks.
 
@@ -81,6 +84,8 @@ def with_own_ranks(
         progress(0.0, "own ranks")
         tensor = _Tensor(model, t, weights)
         members = members_by_cluster(model.labels, model.n_clusters)
+        if not time_for(model.n_clusters * _seconds_of(tensor, max(members, key=len))):
+            return model
         found = map_in_order(tensor.choices, members)
         chosen = allocate_tensor_ranks([own for own, _ in found], tensor.budget).ranks
         progress(0.5, "fits at own ranks")
@@ -115,6 +120,13 @@ def with_own_ranks(
         iterations=model.iterations + 1,
         trimmed=0.0,
     )
+
+
+def _seconds_of(tensor: "_Tensor", verts: I32) -> float:
+    """Try what a cluster takes: its choices, and a fit about as long."""
+    began = time.monotonic()
+    tensor.choices(verts)
+    return 2.0 * (time.monotonic() - began)
 
 
 class _Tensor:
