@@ -47,7 +47,7 @@ class MovingMeans:
         means: Float32[F32, "clusters dims"],
         squared_distances: Float64[F64, " verts"],
     ) -> None:
-        """Set every mean to that of its members, zero where it has none, and the distances to match.
+        """Set every mean to that of its members, zero where there are none; distances to match.
 
         Parameters
         ----------

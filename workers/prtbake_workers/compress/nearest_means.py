@@ -4,7 +4,7 @@ A mean that moved by t is nearer to a vertex than it was by at most t ([Elkan200
 triangle inequality).  So distances once taken bound later ones from below, and a vertex whose own
 mean is nearer than all bounds stays without a product: after ten iterations nine in ten do.
 
-Bounds are lowered by what rounding can add, so the clusters are those that all distances would give.
+Bounds are lowered by what rounding can add, so clusters are those that all distances would give.
 """
 
 from typing import NamedTuple
