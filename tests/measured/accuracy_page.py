@@ -26,8 +26,8 @@ Error against seconds and bytes: four scenes at combinations of qualities, funct
 [study](../studies.md) given to a service with two workers; one scene at every quality; and lights of as many
 numbers. `make accuracy PRTBAKE_DATA=...` measures all of it anew, `.venv/bin/python tests/measured/accuracy.py
 teapot figure4` what is named, and the rest stays. Errors are the relative L2 of the delivered pictures against the
-brute-force reference, over all pictures of two cameras of 128 x 96, the same for every point. Seconds are those of the work that makes
-a point's file, whichever point had it done; pictures and validation are not in them. Errors and bytes repeat, seconds do
+brute-force reference, over all pictures of two cameras, the same for every point. Seconds are those of the work that makes a point's
+file, whichever point had it done; pictures and validation are not in them. Errors and bytes repeat, seconds do
 not. [accuracy.csv](accuracy.csv) has every point."""
 SHORT = {
     QUALITY: "quality",

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from itertools import pairwise
+from math import log, sqrt
 from typing import Any
 
 from measured.accuracy_scenes import FIGURE_4, LADDER, LADDER_NAME, QUALITY, SCENES
@@ -24,6 +25,7 @@ COLUMNS = ("error", "noise", "seconds", "shared_seconds", "check_seconds", "byte
 LEAST_SPAN = 10.0
 """Of the seconds on a frontier, its dearest point over its cheapest: a decade."""
 N_LIGHTS = 6
+NOTHING = "not measured"
 
 SCATTERED = "scattered SRBF"
 FUNCTIONS = ("SH", "uniform SRBF")
@@ -109,9 +111,10 @@ def statements(kept: Mapping[str, Kept]) -> list[Statement]:
         Statement(
             f"every frontier of seconds spans a factor {LEAST_SPAN:g}",
             bool(spans) and min(spans.values()) >= LEAST_SPAN,
-            ", ".join(f"{name} {value:.3g}" for name, value in spans.items()),
+            ", ".join(f"{name} {value:.3g}" for name, value in spans.items()) or NOTHING,
         ),
         *_of_ladder(kept.get(LADDER_NAME)),
+        _of_steps(foretold(kept)),
         *_of_lights(kept.get(FIGURE_4)),
     ]
 
@@ -178,8 +181,29 @@ def _of_ladder(study: Kept | None) -> list[Statement]:
         values = [sign * point[figure] for point in points]
         said = [percent(p["error"]) if figure == "error" else f"{p[figure]:.3g}" for p in points]
         holds = len(values) > 1 and all(a < b for a, b in pairwise(values))
-        found.append(Statement(text, holds, ", ".join(said)))
+        found.append(Statement(text, holds, ", ".join(said) or NOTHING))
     return found
+
+
+def _of_steps(told: Sequence[Foretold]) -> Statement:
+    """Hold predictions against saying that nothing changes."""
+    predicted, unchanged = (
+        root_mean_square([log(factor) for factor in factors])
+        for factors in ([one.factor for one in told], [one.before / one.measured for one in told])
+    )
+    return Statement(
+        "what a report foretells of the error a step away is nearer to it than the asset's own",
+        predicted < unchanged,
+        f"off by {percent(predicted)} against {percent(unchanged)}, root mean square of logarithms "
+        f"of {len(told)}"
+        if told
+        else NOTHING,
+    )
+
+
+def root_mean_square(values: Sequence[float]) -> float:
+    """0 of none."""
+    return sqrt(sum(value**2 for value in values) / max(1, len(values)))
 
 
 def equals(figure: Kept) -> dict[str, list[str]]:
@@ -219,7 +243,11 @@ def _of_lights(figure: Kept | None) -> list[Statement]:
                 "of no more numbers scattered SRBFs leave less than harmonics and uniform SRBFs, "
                 f"on every light, {where}",
                 bool(lights) and not wrong,
-                f"more on {', '.join(wrong)}" if wrong else f"less on all {len(lights)}",
+                f"more on {', '.join(wrong)}"
+                if wrong
+                else f"less on all {len(lights)}"
+                if lights
+                else NOTHING,
             )
         )
     return found
