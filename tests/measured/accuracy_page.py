@@ -203,7 +203,7 @@ def lights(figure: Kept) -> str:
             f"{lobes} leaves less than wavelets on every light."
             if not worse
             else f"The paper's pictures have scattered SRBFs above area-weighted wavelets. In squared "
-            f"error {where} that does not hold here: wavelets of either kind leave less than "
+            f"error {where} that does not hold here: wavelets of one kind or both leave less than "
             f"{lobes} on {len(worse)} of {len(figure['lights'])} lights ({', '.join(worse)}). They "
             "live on the very texels of the map, where a lamp is a handful of coefficients."
         )

@@ -176,7 +176,7 @@ def test_page_table_and_files_hold_what_is_kept(kept, tmp_path):
             assert f"({link})" in text
             assert (tmp_path / "measured" / link).exists()
     assert text.count("- holds:") == len(statements(kept))
-    assert "wavelets of either kind leave less" in text
+    assert "wavelets of one kind or both leave less" in text
     assert f"| all |  | {len(foretold(kept))} |" in text
     assert "| reference | 0.625 % | 0.1 % | 4.3 min |" in text
     with (tmp_path / "measured" / "accuracy.csv").open() as file:
