@@ -96,7 +96,11 @@ def test_every_unit_has_a_rate_and_every_rate_a_unit():
     units = {stage: set(amounts) for stage, amounts in stages.items()}
     units["fit_light"] = set(fit_work(FitLightSettings(), n_texels=2048))
     for stage, own in units.items():
-        extra = {"plan": {"outlines", "trial_rays", "trial_flops"}, "quantise": {"tasks"}}
+        extra = {
+            "plan": {"outlines", "trial_rays", "trial_flops"},
+            "quantise": {"tasks"},
+            "compress": {"places", "moves"},
+        }
         assert own | extra.get(stage, set()) == set(SHIPPED[stage]), stage
 
 

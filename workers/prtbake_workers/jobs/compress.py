@@ -35,10 +35,12 @@ from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.sized import check_bytes, write_sized
 from prtbake_workers.planning.cost import factor_floats
+from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 from prtbake_workers.planning.registers import check_planned_registers
-from prtbake_workers.planning.stage_work import compress_work, quantise_work, total
-from prtbake_workers.planning.uncounted import uncounted
+from prtbake_workers.planning.search_work import searched_work
+from prtbake_workers.planning.stage_work import quantise_work, total
+from prtbake_workers.planning.uncounted import untaught
 
 _MODULE = "prtbake_workers.jobs.compress"
 ROUNDING_SHARE = 0.1
@@ -150,7 +152,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "bounces": None,
         "notes": [],
         "work": work_of(header, settings, compressions),
-        "uncounted": list(uncounted(settings)),
+        "uncounted": sorted(untaught(settings)),
     }
     return {"plan": plan}
 
@@ -188,17 +190,9 @@ def work_of(
             "n_coeffs": header.basis.n_coeffs,
             "n_channels": part.n_channels,
         }
-        fits.append(
-            compress_work(
-                compression,
-                **size,
-                iterations=settings.max_iterations,
-                threads=settings.threads,
-            )
-        )
-        quantise.append(
-            quantise_work(compression, **size, factor_floats=factor_floats(compression, **size))
-        )
+        fits.append(searched_work(compression, settings, **size))
+        own = expected_sizes(compression, settings.max_error, **size)
+        quantise.append(quantise_work(own, **size, factor_floats=factor_floats(own, **size)))
     return {
         "plan": {"outlines": 1.0},
         "compress": total(fits),

@@ -48,7 +48,8 @@ from prtbake_workers.jobs.work import (
     n_texels,
     rates_of,
 )
-from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats, part_cost
+from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats
+from prtbake_workers.planning.expected_sizes import expected_cost, expected_sizes
 from prtbake_workers.planning.file_bytes import PartNumbers, asset_bytes, known_bytes, light_bytes
 from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.picture_bytes import (
@@ -197,9 +198,10 @@ def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStor
         header = transfer.header
     compressions = compressions_of(header, settings)
     costs = [
-        part_cost(
+        expected_cost(
             _bake_of(header.basis),
             compression,
+            settings.max_error,
             n_verts=part.n_vertices,
             n_terms=part.n_terms,
             n_channels=part.n_channels,
@@ -257,7 +259,9 @@ def _asset_files(
                 n_channels=part.n_channels,
                 even=part.role == "receiver",
                 n_coeffs=header.basis.n_coeffs,
-                factor_floats=factor_floats(compression, **size),
+                factor_floats=factor_floats(
+                    expected_sizes(compression, settings.max_error, **size), **size
+                ),
                 view_columns=compression.ranks[0] * brdf.n_channels,
             )
         )
@@ -330,6 +334,7 @@ def _fit_light(settings: FitLightSettings, given: dict[str, Any]) -> Estimate:
         given,
         memory_bytes=fit_memory_bytes(settings, n_texels=texels, samples=samples),
         files={"light.h5": light_bytes(settings)},
+        warnings=list(uncounted(CompressSettings(), settings).values()),
     )
 
 
@@ -358,6 +363,7 @@ def _only(
     files: dict[str, int] | None = None,
     at_most: dict[str, int] | None = None,
     n_parts: int = 0,
+    warnings: Sequence[str] = (),
 ) -> Estimate:
     """Predict a job of one stage and its report."""
     seconds, lasting = _durations(work | {"report": REPORT_WORK}, given)
@@ -369,6 +375,7 @@ def _only(
         artefact_bytes_at_most=with_reports(at_most or {}, n_parts=n_parts),
         peak_memory_bytes=memory_bytes,
         errors={},
+        warnings=list(warnings),
     )
 
 

@@ -16,7 +16,7 @@ from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
-from prtbake_workers.planning.uncounted import uncounted
+from prtbake_workers.planning.uncounted import untaught
 
 Work = dict[str, dict[str, float]]
 
@@ -103,7 +103,7 @@ def learnt(kind: str, results: Results, context: Mapping[str, Any]) -> NewRates 
     """Say what a finished job's stages took over what the rates alone predict.
 
     Stages of which a task had run before are left out: their seconds are another time's, perhaps
-    another machine's.  So are those of which only some work is counted.
+    another machine's.  So are those whose work goes by what they find.
     """
     rates = rates_of(context)
     ratios = {}
@@ -119,12 +119,15 @@ def learnt(kind: str, results: Results, context: Mapping[str, Any]) -> NewRates 
 
 
 def _uncounted(kind: str, results: Results) -> set[str]:
-    """Name the stages whose counts are not what they did; planning a compression traces nothing."""
+    """Name the stages whose counts may not be what they did.
+
+    Planning a compression traces nothing.
+    """
     if "plan" not in results:
         return set()
     (planned,) = results["plan"]
     if kind == "asset":
         settings = StageSettings.from_dict(planned["settings"])
-        return set(uncounted(settings.compress, settings.fit_light))
+        return untaught(settings.compress, settings.fit_light)
     own = set(planned["plan"].get("uncounted", ()))
     return own | {"plan"} if kind == "compress" else own

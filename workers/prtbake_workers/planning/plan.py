@@ -16,12 +16,12 @@ from prtbake_workers.planning.cost import (
     TILE_SECONDS,
     before_basis_bytes,
     compress_memory_bytes,
-    part_cost,
     plan_memory_bytes,
     tile_memory_bytes,
     tile_vertices,
 )
 from prtbake_workers.planning.decision import Decision
+from prtbake_workers.planning.expected_sizes import expected_cost
 from prtbake_workers.planning.file_bytes import (
     KnownBytes,
     light_bytes,
@@ -233,9 +233,10 @@ def make_plan(
                 occluders=occluders,
                 compression=compression,
                 tiles=tuple((a, min(a + size, stop)) for a in range(start, stop, size)),
-                cost=part_cost(
+                cost=expected_cost(
                     bake,
                     compression,
+                    settings.compress.max_error,
                     n_verts=stop - start,
                     n_terms=n_terms,
                     n_channels=n_channels,

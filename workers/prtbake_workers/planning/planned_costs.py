@@ -7,6 +7,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.decision import Decision
+from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.file_bytes import (
     Bits,
     KnownBytes,
@@ -25,10 +26,10 @@ from prtbake_workers.planning.scattering_cost import (
     rows_work,
     scattering_memory_bytes,
 )
+from prtbake_workers.planning.search_work import searched_work
 from prtbake_workers.planning.stage_work import (
     bake_work,
     bounce_work,
-    compress_work,
     quantise_work,
     total,
 )
@@ -87,12 +88,11 @@ def work_of_parts(
         for part in parts
     ]
     compress = [
-        compress_work(
+        searched_work(
             part.compression,
+            settings.compress,
             **size,
             n_coeffs=bake.n_coeffs,
-            iterations=settings.compress.max_iterations,
-            threads=settings.compress.threads,
             n_channels=n_channels,
         )
         for part, size in zip(parts, sizes, strict=True)
@@ -109,7 +109,13 @@ def work_of_parts(
                 {"tasks": 1.0},
                 *(
                     quantise_work(
-                        part.compression,
+                        expected_sizes(
+                            part.compression,
+                            settings.compress.max_error,
+                            **size,
+                            n_coeffs=bake.n_coeffs,
+                            n_channels=n_channels,
+                        ),
                         **size,
                         n_coeffs=bake.n_coeffs,
                         factor_floats=part.cost.factor_floats,

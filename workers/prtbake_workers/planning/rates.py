@@ -41,6 +41,7 @@ SHIPPED: Mapping[str, Mapping[str, float]] = MappingProxyType({
     }),
     "compress": MappingProxyType({
         "tasks": 0.83, "values": 1.3e-8, "product_flops": 3.6e-11, "solve_flops": 2e-11,
+        "places": 6e-6, "moves": 5e-5,
     }),
     "quantise": MappingProxyType({
         "tasks": 0.91, "floats": 9.4e-8, "flops": 4.5e-11, "textures": 0.1,

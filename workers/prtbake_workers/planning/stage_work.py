@@ -178,15 +178,15 @@ def compress_work(
             steps
             * clusters
             * (
-                _decomposition(float(vert * rows), float(n_coeffs))
-                + _decomposition(members, float(rows * light))
+                decomposition_flops(float(vert * rows), float(n_coeffs))
+                + decomposition_flops(members, float(rows * light))
             )
         )
     else:
         product = 2.0 * values * clusters * iterations + 4.0 * values * compression.n_components
         solve = 0.0
         if compression.n_components:
-            solve = clusters * _decomposition(members, values / n_verts)
+            solve = clusters * decomposition_flops(members, values / n_verts)
     shared = min(threads, clusters)
     return {
         "tasks": 1.0,
@@ -196,7 +196,7 @@ def compress_work(
     }
 
 
-def _decomposition(n_rows: float, n_columns: float) -> float:
+def decomposition_flops(n_rows: float, n_columns: float) -> float:
     """Count the float64 operations of a row space: a Gram matrix of the shorter side, its eigen."""
     short, long = sorted((n_rows, n_columns))
     return 4.0 * short**2 * long + 20.0 * short**3

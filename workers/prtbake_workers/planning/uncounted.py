@@ -1,20 +1,22 @@
-"""Stages whose work the counts do not know: what they take depends on what they find."""
+"""Stages whose work goes by what they find: their counts are those of a mean scene."""
 
 from prtbake_storage.contract.settings import CompressSettings, FitLightSettings
+from prtbake_workers.planning.expected_sizes import OFF_BY, VQ_OFF_BY
 
 
 def uncounted(
     compress: CompressSettings, fit_light: FitLightSettings | None = None
 ) -> dict[str, str]:
-    """Name the stages whose predicted seconds are those of another job, and say of which.
+    """Name the stages whose predictions a scene may be far from, and say how far.
 
-    Jobs teach no rates by them, and estimates warn.
+    Estimates warn.
     """
     found = {}
     if compress.max_error is not None:
+        off_by = VQ_OFF_BY if compress.method == "vq" else OFF_BY
         found["compress"] = (
-            "max_error tries sizes until the error fits: seconds, bytes and memory are those of "
-            "one fit at the sizes it starts from"
+            "max_error tries sizes until the error fits: those predicted are of a mean scene, and "
+            f"may be {off_by:g} times too many or too few, and bytes and seconds with them"
         )
     elif compress.max_bytes is not None:
         found["compress"] = (
@@ -23,13 +25,18 @@ def uncounted(
         )
     elif compress.max_seconds is not None:
         found["compress"] = "max_seconds is predicted as if it ended no fit"
-    elif compress.classification != "static":
-        found["compress"] = (
-            f"{compress.classification} classification takes up to 25 times the seconds of static, "
-            "which are those predicted"
-        )
-    elif compress.coherence or compress.overdraw_budget is not None:
-        found["compress"] = "the seconds of coherence and overdraw_budget are not predicted"
     if fit_light is not None and fit_light.max_error is not None:
-        found["fit_light"] = "max_error is predicted as if it took all of n_lobes"
+        found["fit_light"] = (
+            "max_error takes as many lobes as it needs: seconds and bytes are those of all "
+            f"{fit_light.n_lobes}, at most"
+        )
+    return found
+
+
+def untaught(compress: CompressSettings, fit_light: FitLightSettings | None = None) -> set[str]:
+    """Name the stages that teach no rates: a scene's own ways would be taken for the machine's."""
+    found = set(uncounted(compress, fit_light))
+    drawn = compress.coherence or compress.overdraw_budget is not None
+    if drawn or compress.classification != "static":
+        found.add("compress")
     return found
