@@ -71,9 +71,9 @@ iterations.
 `CTA` has the paper's ranks, (8, 48, 24) in every cluster. Most of what it leaves lies outside its eight view columns of
 sixteen. `CTA, own ranks` has twelve and fewer of the other vectors, as many bytes in all, divided over the clusters by
 what ranks capture there. All-frequency CPCA has as many bytes as that row, and its components where they capture most,
-a cluster of a segment at a time; with even components it has as many in every cluster, as the paper does. Its view
-columns are eight: with twelve or sixteen, tried on two segments of a quarter of the teapot, it leaves more at either
-number of bytes, as each column makes all its means and components longer.
+a cluster of a segment at a time; with even components it has as many in every cluster, as the paper does. It
+has the paper's eight view columns: with more, each of its means and components is longer; that was tried on parts of
+the teapot only.
 
 Theirs are the columns of their table 1. Their meshes of the bunny and the buddha have more vertices than those
 here; the teapot is tessellated to as many as theirs."""
