@@ -210,7 +210,7 @@ def test_steps_are_foretold_from_either_side(kept):
     assert len(told) == 2 * sum(len(scene.axes[QUALITY]) - 1 for scene in ALL)
     (more,) = (one for one in told if (one.scene, one.start, one.to) == ("spot", "draft", "low"))
     # terms leave an eighth of the energy, and nothing else changes
-    lines = [0.125 ** POWERS["terms"]["energy_lost"] * LINES["K terms"], LINES["compression"]]
+    lines = [0.125 ** POWERS["terms"][1] * LINES["K terms"], LINES["compression"]]
     before = sum(error**2 for error in LINES.values())
     expected = 0.1 * (sum(error**2 for error in lines) / before) ** 0.5
     assert more.predicted == pytest.approx(expected)

@@ -13,17 +13,14 @@ import numpy as np
 from prtbake_storage.contract.settings import FitLightSettings
 from prtbake_workers.arrays import F64, Float64
 
-POWERS: Mapping[str, Mapping[str, float]] = {
-    "terms": {"energy_lost": 0.4},
-    "visibility": {"directions": -0.27},
-    "basis": {"functions": -0.33},
-    "light": {"light_functions": -0.5},
-    "compression": {"vectors": -0.4, "functions": 0.25},
+POWERS: Mapping[str, tuple[str, float]] = {
+    "terms": ("energy_lost", 0.4),
+    "visibility": ("directions", -0.27),
+    "basis": ("functions", -0.4),
+    "light": ("light_functions", -1.0),
+    "compression": ("vectors", -0.5),
 }
-"""Of each kind of line: it goes as these numbers to these powers.
-
-What a finer basis sees is left for compression to lose; bounces did not change with their rays.
-"""
+"""Of each kind of line: it goes as this number to this power; bounces hardly changed with rays."""
 
 
 @dataclass(frozen=True)
@@ -58,16 +55,10 @@ def line_factors(own: Resolution, other: Resolution) -> dict[str, float]:
     """
     before, after = asdict(own), asdict(other)
     return {
-        kind: float(
-            np.prod(
-                [
-                    (after[name] / before[name]) ** power
-                    for name, power in powers.items()
-                    if before[name] > 0 and after[name] > 0
-                ]
-            )
-        )
-        for kind, powers in POWERS.items()
+        kind: float((after[name] / before[name]) ** power)
+        if before[name] > 0 and after[name] > 0
+        else 1.0
+        for kind, (name, power) in POWERS.items()
     }
 
 

@@ -27,7 +27,7 @@ DECIDED_BY: Mapping[str, str] = {
 PREDICTED_BY = (
     "Seconds and bytes of a step are those that planning predicts, times what this asset measured "
     "over what was predicted of it. Its error is this asset's, each line of the error budget "
-    "multiplied by powers of the ratios of the numbers that decide it (energy that terms leave, "
+    "multiplied by a power of the ratio of the number that decides it (energy that terms leave, "
     "directions, functions of the basis, functions of the light, vectors of the compression), the "
     "others as they are; how far lines cancel is taken to stay."
 )
