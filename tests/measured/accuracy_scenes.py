@@ -18,7 +18,7 @@ FIGURE_4 = "figure4"
 """What is measured beside the studies."""
 
 COOK_TORRANCE = {"model": "cook_torrance", "m": 0.5, "kd": 0.3, "ks": 0.7, "f0": 0.1}
-VALIDATION = {"width": 128, "height": 96, "passes": 8, "samples": 128}
+VALIDATION = {"width": 128, "height": 96, "passes": 16, "samples": 256}
 """The same for every point, so that the points can be compared."""
 QUICK_VALIDATION = {"width": 32, "height": 24, "passes": 2, "samples": 16}
 QUICK_AXES = {QUALITY: ["draft", "low"], "settings.fit_light.n_lobes": [8]}
