@@ -54,7 +54,11 @@ def searched_work(
     fits = [(1.0, rounds)]
     if settings.max_error is not None:
         few = min(rounds, TRIAL_ITERATIONS)
-        fits = [(VQ_TRIALS, rounds)] if own.method == "vq" else [(TRIALS, few), (1.0, rounds)]
+        fits = [(TRIALS, few), (1.0, rounds)]
+        if own.method == "vq":
+            fits = [(VQ_TRIALS, rounds)]
+        if own.method == "pca":  # a trial takes more or fewer of the components found once
+            fits = [(TRIALS, few)]
     plain = compress_work(own, **size, iterations=rounds, threads=settings.threads)
     found = plain | {"product_flops": 0.0, "solve_flops": 0.0, "places": 0.0, "moves": 0.0}
     shared = min(settings.threads, own.n_clusters, n_verts)
@@ -65,14 +69,16 @@ def searched_work(
         product += more_product / shared
         solve += more_solve / shared
         if settings.coherence:
-            found["places"] += times * n_verts * iterations
+            again = _classified_by_error(own)
+            passes = passes_by_error(own.n_components, iterations, n_verts=n_verts) if again else ()
+            found["places"] += times * n_verts * (iterations + sum(passes))
         if settings.overdraw_budget is not None:
             refits = 1 if own.method == "cta" else ROUNDS
             found["moves"] += times * n_verts * refits
             if own.method != "cta" and own.n_components:
                 solve += refits * _components(own, **size) / shared
         found["product_flops"] += times * product
-        found["solve_flops"] += times * solve
+        found["solve_flops"] += (1.0 if own.method == "pca" else times) * solve
     return found
 
 
@@ -81,6 +87,10 @@ def passes_by_error(n_components: int, most: int, *, n_verts: int) -> list[float
     share = (n_verts / PASS_VERTS) ** PASS_POWER
     wanted = (FIRST_PASSES - FEWER_PASSES * rank for rank in range(1, n_components + 1))
     return [min(float(most), share * max(1.0, one)) for one in wanted]
+
+
+def _classified_by_error(own: PartCompression) -> bool:
+    return own.method == "cpca" and own.classification != "static" and own.n_components > 0
 
 
 def _by_error(
@@ -93,7 +103,7 @@ def _by_error(
     n_channels: int,
 ) -> tuple[float, float]:
     """Count the products and decompositions of classification by error."""
-    if own.method != "cpca" or own.classification == "static" or not own.n_components:
+    if not _classified_by_error(own):
         return 0.0, 0.0
     values = float(n_verts * n_channels * n_terms * n_coeffs)
     passes = passes_by_error(own.n_components, most, n_verts=n_verts)
