@@ -105,6 +105,9 @@ def test_more_of_anything_is_more_bytes():
     three = PartNumbers(**{**part.__dict__, "n_rows": 3, "n_channels": 3})
     own = PartNumbers(**{**three.__dict__, "scattered": True})
     assert transfer_bytes(known, [own]) > 1.2 * transfer_bytes(known, [three])
+    lit = PartNumbers(**{**part.__dict__, "n_rows": 1, "even": True})
+    moved = PartNumbers(**{**lit.__dict__, "scattered": True})
+    assert asset_bytes(known, [moved], bits="auto") > asset_bytes(known, [lit], bits="auto")
     # evenness shows in factors of one term alone
     for rows, less in ((1, True), (8, False)):
         even, plain = (

@@ -245,7 +245,10 @@ def _asset_files(
         [np.eye(3)[None] if own.frames is None else own.frames for own in header.parts],
     )
     numbers = []
-    for part, compression, brdf in zip(header.parts, compressions, factorisations, strict=True):
+    scattering = header.provenance.get("scattering", ())
+    for index, (part, compression, brdf) in enumerate(
+        zip(header.parts, compressions, factorisations, strict=True)
+    ):
         size = {
             "n_verts": part.n_vertices,
             "n_terms": part.n_terms,
@@ -263,6 +266,7 @@ def _asset_files(
                     expected_sizes(compression, settings.max_error, **size), **size
                 ),
                 view_columns=compression.ranks[0] * brdf.n_channels,
+                scattered=index in scattering,
             )
         )
     return {

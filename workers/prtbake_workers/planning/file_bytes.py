@@ -47,7 +47,8 @@ FACTOR_BYTES: dict[Bits, float] = {32: 3.6, 16: 1.9, 8: 0.82, "auto": 0.88}
 EVEN_FACTOR_BYTES = 0.53
 TEXTURE_BYTES: dict[Bits, float] = {32: 3.12, 16: 1.8, 8: 0.75, "auto": 0.55}
 """Of a number of factors and of view textures, by the bits that it is asked to have; of factors of
-even parts of one term in bits that their error chooses, which is larger."""
+even parts of one term, which no light scattered inside makes uneven, in bits that their error
+chooses, which is larger."""
 
 PART_ARRAYS, TRANSFER_ARRAYS, ASSET_ARRAYS = 10, 6, 9
 """Of a part in either file, in transfer and in the asset beside; the mesh and the basis are 5."""
@@ -173,7 +174,7 @@ def asset_bytes(known: KnownBytes, parts: Sequence[PartNumbers], *, bits: Bits) 
     """Predict ``asset.h5``, or ``asset-float32.h5`` (32 bits)."""
     found = float(known.asset[32 if bits == 32 else 16] + _frame(len(parts), ASSET_ARRAYS))
     for part, texels in zip(parts, known.texels, strict=True):
-        even = part.even and part.single and bits == "auto"
+        even = part.even and part.single and not part.scattered and bits == "auto"
         found += (EVEN_FACTOR_BYTES if even else FACTOR_BYTES[bits]) * part.factor_floats
         found += TEXTURE_BYTES[bits] * texels * part.view_columns
     return round(found)
