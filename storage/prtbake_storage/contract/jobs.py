@@ -85,6 +85,18 @@ class _Request(_Submission):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
 
+class _OneStage(_Request):
+    """A job of one stage, whose settings may begin with those of a quality."""
+
+    quality: Quality | None = None
+    """Its settings of the stage stand below those given; null leaves the stage's own defaults."""
+
+    @field_serializer("settings", check_fields=False)
+    def _sparse_below_a_quality(self, settings: Wire) -> dict[str, Any]:
+        """Keep what was given apart from what was not: defaults would stand in a quality's way."""
+        return settings.model_dump(mode="json", exclude_unset=self.quality is not None)
+
+
 class _SceneRequest(_Request):
     mesh: ResourceId
     brdf: ResourceId | BrdfSpec
@@ -103,14 +115,14 @@ class _SceneRequest(_Request):
     effects: Effects = Effects()
 
 
-class BakeRequest(_SceneRequest):
+class BakeRequest(_SceneRequest, _OneStage):
     """Simulate transport: gives ``transfer.h5``."""
 
     kind: Literal["bake"] = "bake"
     settings: BakeSettings = BakeSettings()
 
 
-class CompressRequest(_Request):
+class CompressRequest(_OneStage):
     """Compress a transfer artefact: gives ``asset.h5``."""
 
     kind: Literal["compress"] = "compress"
@@ -124,7 +136,7 @@ class _LitRequest(_Request):
     """Further environments, added to that one."""
 
 
-class FitLightRequest(_LitRequest):
+class FitLightRequest(_LitRequest, _OneStage):
     """Fit an environment, or several that shine together: gives ``light.h5``."""
 
     kind: Literal["fit_light"] = "fit_light"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.contract.settings import CompressSettings
+from prtbake_storage.contract.settings import CompressSettings, Quality
 from prtbake_storage.decode.asset import Asset, Part
 from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
@@ -115,9 +115,15 @@ def stages(
     ]
 
 
-def standalone_stages(transfer: str, settings: CompressSettings, seed: int) -> list[Stage]:
-    """Compress an earlier job's transfer: look at its parts first, then as in an asset job."""
-    args = {"transfer": transfer, "settings": settings.model_dump(mode="json")}
+def standalone_stages(
+    transfer: str, settings: CompressSettings, seed: int, *, quality: Quality = "medium"
+) -> list[Stage]:
+    """Compress an earlier job's transfer: look at its parts first, then as in an asset job.
+
+    ``quality`` gives the sizes that the settings leave to planning.
+    """
+    dumped = settings.model_dump(mode="json")
+    args = {"transfer": transfer, "settings": dumped, "quality": quality}
 
     def outline(_: Results) -> list[Task]:
         return [Task(f"{_MODULE}:outline", args, label="outline")]
@@ -134,7 +140,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     settings = CompressSettings.model_validate(args["settings"])
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:
         header = transfer.header
-    compressions = compressions_of(header, settings)
+    compressions = compressions_of(header, settings, args["quality"])
     parts = [
         {
             "name": part.name,
@@ -157,12 +163,14 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     return {"plan": plan}
 
 
-def compressions_of(header: TransferHeader, settings: CompressSettings) -> list[PartCompression]:
+def compressions_of(
+    header: TransferHeader, settings: CompressSettings, quality: Quality = "medium"
+) -> list[PartCompression]:
     """Choose method, clusters and ranks of each part; refuse what registers cannot hold."""
     found = [
         resolve_compression(
             settings,
-            "medium",
+            quality,
             n_verts=part.n_vertices,
             n_terms=part.n_terms,
             n_coeffs=header.basis.n_coeffs,

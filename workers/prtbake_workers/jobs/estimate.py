@@ -61,6 +61,7 @@ from prtbake_workers.planning.presets import (
     PartCompression,
     PlannedBake,
     StageSettings,
+    below_quality,
     resolve_stages,
 )
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
@@ -130,10 +131,12 @@ def predict(
         case AssetRequest() | BakeRequest():
             return _scene(request, body, given, store)
         case CompressRequest():
-            return _compress(request.settings, given, store)
+            return _compress(request, given, store)
         case FitLightRequest():
             load_light(store, light_source(given))
-            return _fit_light(request.settings, given)
+            return _fit_light(
+                below_quality("fit_light", request.settings, request.quality), given
+            )
         case RenderRequest():
             return _render(request.settings, given, store)
         case ValidateRequest():
@@ -192,11 +195,12 @@ def _scene(
     )
 
 
-def _compress(settings: CompressSettings, given: dict[str, Any], store: BlobStore) -> Estimate:
+def _compress(request: CompressRequest, given: dict[str, Any], store: BlobStore) -> Estimate:
     """Predict from the header of the transfer."""
+    settings = below_quality("compress", request.settings, request.quality)
     with open_transfer(store.local_path(given["artefacts"]["transfer"]["digest"])) as transfer:
         header = transfer.header
-    compressions = compressions_of(header, settings)
+    compressions = compressions_of(header, settings, request.quality or "medium")
     costs = [
         expected_cost(
             _bake_of(header.basis),
@@ -402,4 +406,4 @@ def _durations(
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:
     if isinstance(request, AssetRequest):
         return resolve_stages(request.quality, request.settings), request.quality
-    return StageSettings.for_bake(request.settings), "medium"
+    return StageSettings.for_bake(request.settings, request.quality), request.quality or "medium"

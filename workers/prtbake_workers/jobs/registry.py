@@ -27,25 +27,30 @@ from prtbake_workers.jobs import (
 )
 from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.work import done_work, learnt, rates_of
-from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.presets import StageSettings, below_quality
 
 Build = Callable[[dict[str, Any], dict[str, Any]], list[Stage]]
 
 
 def _bake(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
-    settings = StageSettings.for_bake(BakeRequest.model_validate(request).settings)
-    return bake.stages(request, context, settings, "medium")
+    parsed = BakeRequest.model_validate(request)
+    settings = StageSettings.for_bake(parsed.settings, parsed.quality)
+    return bake.stages(request, context, settings, parsed.quality or "medium")
 
 
 def _compress(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = CompressRequest.model_validate(request)
     transfer = context["artefacts"]["transfer"]["digest"]
-    return compress.standalone_stages(transfer, parsed.settings, parsed.seed)
+    settings = below_quality("compress", parsed.settings, parsed.quality)
+    return compress.standalone_stages(
+        transfer, settings, parsed.seed, quality=parsed.quality or "medium"
+    )
 
 
 def _fit_light(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = FitLightRequest.model_validate(request)
-    return fit_light.stages(light_source(context), parsed.settings, parsed.seed)
+    settings = below_quality("fit_light", parsed.settings, parsed.quality)
+    return fit_light.stages(light_source(context), settings, parsed.seed)
 
 
 def _render(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:

@@ -9,7 +9,7 @@ scene; that of interpolating between vertices, which no setting here changes, of
 
 from dataclasses import dataclass, replace
 from math import isqrt
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -54,9 +54,13 @@ class StageSettings:
     validation: ValidateSettings
 
     @classmethod
-    def for_bake(cls, bake: BakeSettings) -> "StageSettings":
-        """Complete the settings of a lone bake with those of ``medium``, for predictions."""
-        return replace(resolve_stages("medium", AssetSettings()), bake=bake)
+    def for_bake(cls, bake: BakeSettings, quality: Quality | None = None) -> "StageSettings":
+        """Lay the settings of a lone bake over those of a quality, and complete them with its rest.
+
+        Without one the bake's stand as they are, and the rest, for predictions, is ``medium``'s.
+        """
+        rest = resolve_stages(quality or "medium", AssetSettings())
+        return replace(rest, bake=below_quality("bake", bake, quality))
 
     @property
     def planned_bake(self) -> PlannedBake:
@@ -223,6 +227,19 @@ def resolve_stages(quality: Quality, overrides: AssetSettings) -> StageSettings:
         render=RenderSettings.model_validate(overrides.render),
         validation=_validation(step.validation | overrides.validation),
     )
+
+
+Staged = TypeVar("Staged", BakeSettings, CompressSettings, FitLightSettings)
+
+
+def below_quality(stage: str, settings: Staged, quality: Quality | None) -> Staged:
+    """Lay the fields of a request of one stage over a quality's step; None leaves them alone."""
+    if quality is None:
+        return settings
+    given = settings.model_dump(mode="json", exclude_unset=True)
+    resolved = resolve_stages(quality, AssetSettings.model_validate({stage: given}))
+    found: Staged = getattr(resolved, stage)
+    return found
 
 
 def _light(step: dict[str, Any], overrides: dict[str, Any]) -> FitLightSettings:

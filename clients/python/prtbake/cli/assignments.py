@@ -41,11 +41,11 @@ def nested(pairs: list[str]) -> dict[str, Any]:
     return tree
 
 
-def one_of(*legal: str) -> Callable[[str], str]:
-    """Return a callback that refuses an option's value unless it is one of these."""
+def one_of(*legal: str) -> Callable[[str | None], str | None]:
+    """Return a callback that refuses an option's value unless it is one of these, or not given."""
 
-    def check(value: str) -> str:
-        if value not in legal:
+    def check(value: str | None) -> str | None:
+        if value is not None and value not in legal:
             raise typer.BadParameter(f"{value!r} is none of {', '.join(legal)}")
         return value
 

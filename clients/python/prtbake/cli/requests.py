@@ -153,6 +153,14 @@ StageSet = Annotated[
         help="A setting of a stage, as bake.n_terms=16; repeat for several.",
     ),
 ]
+StageQuality = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Begin with the settings of draft, low, medium, high or reference.",
+        callback=one_of(*get_args(QualityName)),
+    ),
+]
 Label = Annotated[str | None, typer.Option(metavar="TEXT", help="A name for people.")]
 Priority = Annotated[int, typer.Option(metavar="N", help="1 (first) to 100.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")]
@@ -246,6 +254,7 @@ def bake(
     material_texture: MaterialTextures = None,
     receiver_texture: ReceiverTexture = None,
     effect: Effect = None,
+    quality: StageQuality = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
     crease_angle: CreaseAngle = None,
@@ -278,6 +287,7 @@ def bake(
         "kind": "bake",
         **scene,
         "settings": settings,
+        **({} if quality is None else {"quality": quality}),
         **_common(label, priority, seed, timeout),
     }
 
@@ -286,6 +296,7 @@ def compress(
     client: Client,
     *,
     transfer: Artefact,
+    quality: StageQuality = None,
     setting: Set = None,
     label: Label = None,
     priority: Priority = 50,
@@ -298,6 +309,7 @@ def compress(
         "kind": "compress",
         "transfer": transfer,
         "settings": _settings(setting, CompressSettings),
+        **({} if quality is None else {"quality": quality}),
         **_common(label, priority, seed, timeout),
     }
 
@@ -307,6 +319,7 @@ def fit_light(
     *,
     environment: Environment,
     add_light: AddLight = None,
+    quality: StageQuality = None,
     setting: Set = None,
     layout: Layout = "auto",
     repair_non_finite: Repair = False,
@@ -323,6 +336,7 @@ def fit_light(
         "environment": light,
         **added_lights(client, add_light),
         "settings": settings,
+        **({} if quality is None else {"quality": quality}),
         **_common(label, priority, seed, timeout),
     }
 
