@@ -257,6 +257,8 @@ class CompressSettings(Wire):
 
 LIGHT_OWNERS: dict[str, LightMethod] = {
     "max_error": "srbf_scattered",
+    "max_bytes": "srbf_scattered",
+    "max_seconds": "srbf_scattered",
     "n_lobes": "srbf_scattered",
     "max_iterations": "srbf_scattered",
     "n_centres": "srbf_uniform",
@@ -301,10 +303,16 @@ class FitLightSettings(Wire):
     method: LightMethod = "srbf_scattered"
     max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     """Of `srbf_scattered`: what the light may leave of the environment, squared and relative."""
+    max_bytes: Annotated[int, Field(ge=1, lt=2**53)] | None = None
+    """Of `srbf_scattered`: of `light.h5`; as many lobes as fit it, or with `max_error` at most."""
+    max_seconds: Annotated[float, Field(gt=0.0, le=604800.0)] | None = None
+    """Of `srbf_scattered`: refinement ends in time with what it has, and a note says so; with
+    `max_error` the job fails where that leaves more."""
     n_lobes: Annotated[int, Field(ge=1, le=MOST_LOBES)] | None = Field(
         default=None, validate_default=True
     )
-    """Of `srbf_scattered`: lobes, with `max_error` the most of them; null is 162, 642 with it."""
+    """Of `srbf_scattered`: lobes, with `max_error` or `max_bytes` the most of them; null is 162,
+    and 642 with either."""
     max_iterations: Annotated[int, Field(ge=1, le=200)] | None = Field(
         default=None, validate_default=True
     )
@@ -345,7 +353,8 @@ class FitLightSettings(Wire):
                 raise ValueError(f"bandwidth is {value:g}: at most {most:g} for so few functions")
         if value is not None:
             return value
-        if name == "n_lobes" and info.data.get("max_error") is not None:
+        budgets = (info.data.get("max_error"), info.data.get("max_bytes"))
+        if name == "n_lobes" and budgets != (None, None):
             return LOBES_TO_TARGET
         return LIGHT_SIZES.get(name)
 

@@ -27,13 +27,13 @@ from prtbake_workers.compress.cluster_factors import (
 )
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks, padded
-from prtbake_workers.compress.deadline import time_for
 from prtbake_workers.compress.gram_eigh import leading_row_space
 from prtbake_workers.compress.inputs import checked_signal, checked_vertex_weights
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 from prtbake_workers.compress.progress import Progress, no_progress
 from prtbake_workers.compress.tensor_ranks import RankChoices, allocate_tensor_ranks, rank_choices
 from prtbake_workers.compress.view_basis import project_view
+from prtbake_workers.deadline import time_for
 
 MOST_OVER_BEFORE = 2
 """Light and vertex ranks that a cluster may have, over those that all had before: decoders hold as

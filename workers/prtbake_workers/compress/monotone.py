@@ -8,7 +8,7 @@ import math
 import time
 
 from prtbake_storage.errors import PrtError
-from prtbake_workers.compress.deadline import time_for
+from prtbake_workers.deadline import time_for
 
 # What float32 products cost, as a share of the input's squared norm: one rounding of a stored
 # factor is 6e-8, and differences of energies inherit it.

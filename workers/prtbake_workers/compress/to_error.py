@@ -16,12 +16,12 @@ import numpy as np
 from prtbake_storage.contract.settings import MOST_CLUSTERS
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, Float32
-from prtbake_workers.compress.deadline import time_for
 from prtbake_workers.compress.inputs import checked_vertex_weights
 from prtbake_workers.compress.methods import Compressed, Fit, Sizes, compress, factors_of
 from prtbake_workers.compress.pca import Principal
 from prtbake_workers.compress.trim import trimmed
 from prtbake_workers.compress.view_basis import view_energies
+from prtbake_workers.deadline import time_for
 
 MOST_TRIALS = 10
 """Fits that look for sizes; a target that they do not meet is refused."""

@@ -21,7 +21,6 @@ from prtbake_workers.arrays import F32, F64, I32
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.coherence import coherence_of
-from prtbake_workers.compress.deadline import ends_by
 from prtbake_workers.compress.methods import Fit, compress
 from prtbake_workers.compress.superclusters import (
     check_registers,
@@ -29,6 +28,7 @@ from prtbake_workers.compress.superclusters import (
     registers_of_clusters,
 )
 from prtbake_workers.compress.to_error import compress_to_error
+from prtbake_workers.deadline import ends_by
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes

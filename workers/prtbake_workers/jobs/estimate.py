@@ -134,9 +134,7 @@ def predict(
             return _compress(request, given, store)
         case FitLightRequest():
             load_light(store, light_source(given))
-            return _fit_light(
-                below_quality("fit_light", request.settings, request.quality), given
-            )
+            return _fit_light(below_quality("fit_light", request.settings, request.quality), given)
         case RenderRequest():
             return _render(request.settings, given, store)
         case ValidateRequest():

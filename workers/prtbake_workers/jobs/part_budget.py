@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.hdf5.transfer import TransferHeader, open_transfer
 from prtbake_storage.queue.context import TaskContext
-from prtbake_workers.compress.deadline import Deadline
 from prtbake_workers.compress.methods import Model
+from prtbake_workers.deadline import Deadline
 from prtbake_workers.planning.byte_budget import Extent, sized_to_bytes
 from prtbake_workers.planning.packed_bytes import packed_bytes
 from prtbake_workers.planning.presets import PartCompression

@@ -248,7 +248,7 @@ def _light(step: dict[str, Any], overrides: dict[str, Any]) -> FitLightSettings:
     left = dict(step)
     if given.get("method", "srbf_scattered") != "srbf_scattered":
         left = {}
-    elif "max_error" in given:
+    elif "max_error" in given or "max_bytes" in given:
         del left["n_lobes"]
     return FitLightSettings.model_validate(left | given)
 

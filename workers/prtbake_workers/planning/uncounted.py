@@ -25,12 +25,21 @@ def uncounted(
         )
     elif compress.max_seconds is not None:
         found["compress"] = "max_seconds is predicted as if it ended no fit"
-    if fit_light is not None and fit_light.max_error is not None:
-        found["fit_light"] = (
-            "max_error takes as many lobes as it needs: seconds and bytes are those of all "
-            f"{fit_light.n_lobes}, at most"
-        )
+    if fit_light is not None:
+        found |= _of_light(fit_light)
     return found
+
+
+def _of_light(settings: FitLightSettings) -> dict[str, str]:
+    for name in ("max_error", "max_bytes"):
+        if getattr(settings, name) is not None:
+            return {
+                "fit_light": f"{name} takes as many lobes as it needs: seconds and bytes are those "
+                f"of all {settings.n_lobes}, at most"
+            }
+    if settings.max_seconds is not None:
+        return {"fit_light": "max_seconds is predicted as if it ended no fit"}
+    return {}
 
 
 def untaught(compress: CompressSettings, fit_light: FitLightSettings | None = None) -> set[str]:

@@ -1,5 +1,6 @@
 """Refine centres and bandwidths by L-BFGS-B, the coefficients solved at every evaluation."""
 
+import time
 from collections.abc import Callable
 from typing import Literal
 
@@ -8,6 +9,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.deadline import time_for
 from prtbake_workers.environment.fit.cells import Cells
 from prtbake_workers.environment.fit.objective import Lobes, SquaredError
 
@@ -38,8 +40,11 @@ def refine(
     have one scale; a bandwidth varies as log lam.  No lobe becomes narrower than the cell it is in
     can show (``narrowest_bandwidths``).
 
-    A lobe that has moved among larger cells is widened to what those can show.
+    A lobe that has moved among larger cells is widened to what those can show.  Where a deadline
+    leaves no time for another step, the lobes are those of the last one.
     """
+    if not time_for(0.0):
+        return lobes
     chart = _Chart(lobes)
     n = len(lobes.bandwidths)
     moves = 2 * n if free != "bandwidths" else 0
@@ -74,12 +79,28 @@ def refine(
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        callback=None if on_step is None else lambda _x: on_step(),
+        callback=_after_step(on_step),
         options={"maxiter": max_steps, "maxfun": 2 * max_steps, "ftol": tolerance, "maxcor": 20},
     )
     moved = lobes_at(outcome.x)
     narrowest = narrowest_bandwidths(objective.cells, moved.centres)
     return moved._replace(bandwidths=np.minimum(moved.bandwidths, narrowest))
+
+
+def _after_step(on_step: OnStep | None) -> Callable[[F64], None]:
+    """Return what `minimize` calls after a step, and which ends it where there is no more time."""
+    longest, since = 0.0, time.monotonic()
+
+    def after(_x: F64) -> None:
+        nonlocal longest, since
+        if on_step is not None:
+            on_step()
+        now = time.monotonic()
+        longest, since = max(longest, now - since), now
+        if not time_for(longest):
+            raise StopIteration
+
+    return after
 
 
 def narrowest_bandwidths(cells: Cells, centres: Float64[F64, "lobes 3"]) -> Float64[F64, " lobes"]:

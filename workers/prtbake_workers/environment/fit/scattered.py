@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import EnvironmentMapError, SettingsError
 from prtbake_workers.arrays import F64, Float, Float64
+from prtbake_workers.deadline import time_for
 from prtbake_workers.environment.environment import LUMINANCE, Environment
 from prtbake_workers.environment.fit.cells import (
     Cells,
@@ -200,6 +201,8 @@ def _rounds(cells: Cells, lobes: Lobes, max_rounds: int, errors: dict[str, float
     error = objective.project(lobes).error
     errors["guess"] = error / cells.energy
     for _ in range(max_rounds):
+        if not time_for(0.0):
+            break
         lobes = refine(objective, lobes, free="centres", max_steps=10)
         lobes = refine(objective, lobes, free="bandwidths", max_steps=10)
         before, error = error, objective.project(lobes).error

@@ -1,9 +1,12 @@
 """As many scattered SRBFs as a given error asks for, from coarse to fine."""
 
+import time
+
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import SettingsError
+from prtbake_workers.deadline import time_for
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.fit.cells import FitSamples, fit_samples
 from prtbake_workers.environment.fit.growth import grow
@@ -61,7 +64,8 @@ def fit_to_error(
     Raises
     ------
     SettingsError
-        The target is not between 0 and 1, or ``most_lobes`` leave more: says what they leave.
+        The target is not between 0 and 1, or ``most_lobes`` leave more, or a deadline ends the
+        search: says what is left.
     """
     return fit_samples_to_error(
         fit_samples(environment, FINE_ROWS),
@@ -97,8 +101,17 @@ def fit_samples_to_error(
     )
     trace = [(len(fit.bandwidths), fit.error)]
     best, done = fit, 0.1
+    took = 0.0
     while fit.error > max_error:
         n = len(fit.bandwidths)
+        began = time.monotonic()
+        if not time_for(took):
+            raise SettingsError(
+                f"max_seconds ended the search for max_error {max_error:g}: "
+                f"{len(best.bandwidths)} lobes leave {best.error:.3g} of the light (squared, "
+                "relative)",
+                pointer="/settings/max_seconds",
+            )
         with threadpool_limits(limits=1, user_api="blas"):
             wanted = min(_next_count(trace, max_error), most)
             lobes = grow(texels, Lobes(*fit[:2]), wanted, max_steps=4 * max_iterations)
@@ -109,6 +122,7 @@ def fit_samples_to_error(
                     pointer="/settings/max_error",
                 )
             fit = with_coefficients(lobes, samples, n_peak_lobes=fit.n_peak_lobes, errors={})
+        took = max(took, time.monotonic() - began)
         trace.append((len(fit.bandwidths), fit.error))
         best = min(best, fit, key=lambda one: one.error)
         left = np.log(max(best.error / max_error, 1.0)) / np.log(trace[0][1] / max_error)

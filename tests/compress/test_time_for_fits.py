@@ -7,9 +7,9 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.compress.cpca import METHODS, compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.compress.cta_adaptive import with_own_ranks
-from prtbake_workers.compress.deadline import SLACK, Deadline, ends_by, time_for
 from prtbake_workers.compress.methods import Fit
 from prtbake_workers.compress.to_error import Scaled, compress_to_error
+from prtbake_workers.deadline import SLACK, Deadline, ends_by, time_for
 
 
 class Clock:
