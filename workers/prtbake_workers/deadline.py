@@ -28,12 +28,15 @@ class Deadline:
     ----------
     hit
         Whether a step was not taken for want of time.
+    kept
+        Seconds that what comes after the last step takes.
     """
 
     def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._began, self._seconds = clock(), seconds
         self.hit = False
+        self.kept = 0.0
 
     @property
     def spent(self) -> float:
@@ -42,7 +45,7 @@ class Deadline:
 
     def allows(self, seconds: float) -> bool:
         """Whether a step of about so many seconds ends in time."""
-        if self.spent + SLACK * seconds <= self._seconds:
+        if self.spent + SLACK * (seconds + self.kept) <= self._seconds:
             return True
         self.hit = True
         return False
@@ -59,6 +62,13 @@ def ends_by(deadline: Deadline | None) -> Iterator[None]:
         yield
     finally:
         _current.reset(token)
+
+
+def keep_time(seconds: float) -> None:
+    """Keep seconds for what comes after the last step, where there is a deadline."""
+    deadline = _current.get()
+    if deadline is not None:
+        deadline.kept = seconds
 
 
 def time_for(seconds: float) -> bool:

@@ -1,5 +1,6 @@
 """The scattered SRBF fit: peaks apart, coarse to fine, all together at the end."""
 
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from prtbake_storage.errors import EnvironmentMapError, SettingsError
 from prtbake_workers.arrays import F64, Float, Float64
-from prtbake_workers.deadline import time_for
+from prtbake_workers.deadline import keep_time, time_for
 from prtbake_workers.environment.environment import LUMINANCE, Environment
 from prtbake_workers.environment.fit.cells import (
     Cells,
@@ -161,14 +162,24 @@ def _fit_stages(
     progress(0.1, "coarse")
     n_base = n_lobes - len(peaks.bandwidths)
     lobes = guess_lobes(even_cells(base, face_cells(n_base, 3)), n_base, rng)
-    lobes = _rounds(even_cells(base, face_cells(n_base, 9)), lobes, max_iterations, errors)
+    coarse = even_cells(base, face_cells(n_base, 9))
+    began = time.monotonic()
+    SquaredError(coarse).project(lobes)
+    per_cell = (time.monotonic() - began) / len(coarse.solid_angles)
+    # coefficients are solved and judged at all samples: up to 1.5 of what a projection there takes
+    rows = len(samples.solving.solid_angles) + len(samples.judging.solid_angles)
+    keep_time(1.5 * per_cell * rows)
+    lobes = _rounds(coarse, lobes, max_iterations, errors)
     steps = 8 * max_iterations
     n_cells = face_cells(n_base, 32)
     progress(0.2, "fine")
-    lobes = _pass(even_cells(base, n_cells), lobes, steps, "fine", errors)
+    fine = even_cells(base, n_cells)
+    if time_for(3.0 * per_cell * len(fine.solid_angles)):
+        lobes = _pass(fine, lobes, steps, "fine", errors)
     progress(0.4, "joint")
     cells = adaptive_cells(base, n_cells, 96 * n_base + 4096)
-    lobes = _pass(cells, lobes, steps, "joint", errors)
+    if time_for(3.0 * per_cell * len(cells.solid_angles)):
+        lobes = _pass(cells, lobes, steps, "joint", errors)
     progress(0.8, "coefficients")
     if len(peaks.bandwidths):
         lobes = Lobes(*(np.concatenate(parts) for parts in zip(lobes, peaks, strict=True)))
