@@ -16,6 +16,7 @@ from pydantic import (
 
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
+from prtbake_storage.contract.budget import AssetBudget
 from prtbake_storage.contract.materials import Materials, Subsurface, Tangents
 from prtbake_storage.contract.settings import (
     AssetSettings,
@@ -164,12 +165,56 @@ class ValidateRequest(_LitRequest):
     settings: ValidateSettings = ValidateSettings()
 
 
+DECIDED_BY_ERROR = (
+    ("compress", "ranks"),
+    ("compress", "n_components"),
+    ("compress", "max_error"),
+    ("compress", "max_quantisation_error"),
+    ("fit_light", "n_lobes"),
+    ("fit_light", "max_error"),
+)
+"""Settings that a budget's error takes the place of: stage and name."""
+
+
 class AssetRequest(_SceneRequest, _LitRequest):
     """The main job: bake, compress, fit, render, validate, report."""
 
     kind: Literal["asset"] = "asset"
-    quality: Quality = "medium"
+    budget: AssetBudget | None = None
+    """What it may err by and take, in place of a quality."""
+    quality: Quality | None = Field(default=None, validate_default=True)
+    """Null is `medium`, or what the budget finds."""
     settings: AssetSettings = AssetSettings()
+
+    @field_validator("quality")
+    @classmethod
+    def _one_of_two(cls, quality: Quality | None, info: ValidationInfo) -> Quality | None:
+        if "budget" not in info.data:  # refused itself
+            return quality
+        if info.data["budget"] is None:
+            return quality or "medium"
+        if quality is not None:
+            raise ValueError("one quality or budget: the budget chooses the quality")
+        return None
+
+    @field_validator("settings")
+    @classmethod
+    def _not_the_budgets(cls, settings: AssetSettings, info: ValidationInfo) -> AssetSettings:
+        """Refuse settings that would decide what the budget decides."""
+        budget = info.data.get("budget")
+        if budget is None or budget.max_error is None:
+            return settings
+        for stage, name in DECIDED_BY_ERROR:
+            if getattr(settings, stage).get(name) is not None:
+                raise ValueError(f"budget.max_error chooses {stage}.{name}: give one of them")
+        if settings.compress.get("bits") == 8:
+            raise ValueError("budget.max_error chooses compress.bits: leave them 'auto', or 16")
+        return settings
+
+    @property
+    def planned_quality(self) -> Quality:
+        """The quality that is asked for; with a budget the one that its search starts from."""
+        return self.quality or "draft"
 
 
 Studied = BakeRequest | CompressRequest | FitLightRequest | AssetRequest
@@ -240,6 +285,9 @@ def _as_given(base: Studied) -> dict[str, Any]:
     return base.model_dump(mode="json", exclude={"settings"}) | {"settings": given}
 
 
+NO_BUDGETS = "a study shows what accuracy costs, and searches no budget: give a quality"
+
+
 def _points(base: Studied, axes: list[Axis]) -> list[StudyPoint]:
     points = []
     given = _as_given(base)
@@ -248,6 +296,9 @@ def _points(base: Studied, axes: list[Axis]) -> list[StudyPoint]:
             request = _studied.validate_python(laid_over(given, values))
         except ValueError as error:
             points.append(StudyPoint(index, values, None, first_fault(error)))
+            continue
+        if isinstance(request, AssetRequest) and request.budget is not None:
+            points.append(StudyPoint(index, values, None, NO_BUDGETS))
         else:
             points.append(StudyPoint(index, values, request, None))
     return points

@@ -110,7 +110,7 @@ class Runs:
                 job_id=row.id,
                 kind=row.kind,
                 request=row.request,
-                context=row.context,
+                context=_with_start(row.context, row.started),
                 priority=row.priority,
                 quick=row.quick,
                 started=row.started or utc_now(),
@@ -277,9 +277,19 @@ class Runs:
         """Tell what all jobs that are not terminal were given."""
         with self._database.read() as session:
             rows = session.execute(
-                sa.select(JobRow.id, JobRow.kind, JobRow.request, JobRow.context).where(_UNFINISHED)
+                sa.select(
+                    JobRow.id, JobRow.kind, JobRow.request, JobRow.context, JobRow.started
+                ).where(_UNFINISHED)
             )
-            return [Given(*row) for row in rows]
+            return [
+                Given(job_id, kind, request, _with_start(context, started))
+                for job_id, kind, request, context, started in rows
+            ]
+
+
+def _with_start(context: dict[str, Any], started: datetime | None) -> dict[str, Any]:
+    """Tell a job that may take so long when it began: ``started``, in seconds since 1970."""
+    return context if started is None else context | {"started": started.timestamp()}
 
 
 def _move(session: Session, row: JobRow, state: JobState) -> None:

@@ -12,7 +12,7 @@ from prtbake_workers.planning.presets import resolve_stages
 def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     """Bake, compress, fit, render, validate."""
     parsed = AssetRequest.model_validate(request)
-    settings = resolve_stages(parsed.quality, parsed.settings)
+    settings = resolve_stages(parsed.planned_quality, parsed.settings)
     environment = light_source(context)
 
     def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:
@@ -33,7 +33,7 @@ def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
         }
 
     return [
-        *bake.stages(request, context, settings, parsed.quality),
+        *bake.stages(request, context, settings, parsed.planned_quality),
         *compress.stages(planned, settings.compress, parsed.seed),
         *fit_light.stages(environment, settings.fit_light, parsed.seed),
         *render.stages(lit, settings.render),

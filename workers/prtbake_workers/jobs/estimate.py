@@ -94,7 +94,9 @@ BAKE_FILES = ("transfer.h5",)
 
 def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     """Plan in one limited task."""
-    args = {"request": request["request"], "context": context}
+    # when it began changes no estimate: the same question finds the same answer
+    given = {name: value for name, value in context.items() if name != "started"}
+    args = {"request": request["request"], "context": given}
 
     def plan(_: Results) -> list[Task]:
         return [
@@ -403,5 +405,5 @@ def _durations(
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:
     if isinstance(request, AssetRequest):
-        return resolve_stages(request.quality, request.settings), request.quality
+        return resolve_stages(request.planned_quality, request.settings), request.planned_quality
     return StageSettings.for_bake(request.settings, request.quality), request.quality or "medium"

@@ -95,7 +95,7 @@ def arguments(
 
 def _steps(request: dict[str, Any]) -> dict[str, Any]:
     """Give the settings of the qualities beside that of an asset."""
-    if "quality" not in request:
+    if request.get("quality") is None:
         return {}
     overrides = AssetSettings.model_validate(request.get("settings", {}))
     return {

@@ -15,6 +15,7 @@ from prtbake_storage.queue.stages import Finished, Results, Stage
 from prtbake_workers.jobs import (
     asset,
     bake,
+    budget,
     calibrate,
     compress,
     estimate,
@@ -91,6 +92,8 @@ class Registry:
         if kind not in KINDS:
             raise SettingsError(f"there is no job kind {kind!r}", pointer="/kind")
         title = request.get("label") or f"{kind} job"
+        if budget.has_one(kind, request):
+            return budget.stages(title, request, context)
 
         def predicted(results: Results) -> dict[str, float]:
             return rates_of(context).all_seconds(done_work(kind, results, context))
@@ -109,6 +112,8 @@ class Registry:
             return study.finish(results)
         if kind == "calibrate":
             return calibrate.finish(results)
+        if budget.has_one(kind, request):
+            return budget.finish(request, context, results)
         return Finished(
             result=report.summary(results),
             artefacts=report.artefacts(results),

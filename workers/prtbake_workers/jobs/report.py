@@ -32,10 +32,14 @@ def stage(title: str, predicted: Callable[[Results], Mapping[str, float]] = lamb
     """Gather what the stages before left, whichever they were; ``predicted`` are their seconds."""
 
     def report(results: Results) -> list[Task]:
-        args = gather(title, results, predicted(results))
-        return [Task(f"{_MODULE}:write", args, label="report")]
+        return [task(gather(title, results, predicted(results)))]
 
     return Stage("report", "report", 1.0, report)
+
+
+def task(args: dict[str, Any]) -> Task:
+    """Make the task that writes what was gathered."""
+    return Task(f"{_MODULE}:write", args, label="report")
 
 
 def gather(
@@ -196,6 +200,7 @@ def write(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         settings=args["settings"],
         ladder=args["ladder"],
         frontier=own_frontier,
+        search=args.get("search"),
         notes=notes,
         overdraw=args["overdraw"],
     )
@@ -281,5 +286,5 @@ def summary(results: Results) -> dict[str, Any]:
     report = written["report"]
     names = ("summary", "errors", "budget", "bytes", "seconds", "effects", "metrics", "parts",
              "overdraw", "peak_memory_bytes", "renderer", "transfer", "numerics", "counters",
-             "notes")  # fmt: skip
+             "search", "notes")  # fmt: skip
     return {name: report[name] for name in names}

@@ -8,6 +8,7 @@ import numpy as np
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.settings import Camera, ValidateSettings
+from prtbake_storage.decode.asset import Asset
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_storage.errors import InputError
 from prtbake_storage.hdf5.light import read_light
@@ -116,13 +117,30 @@ def _report(name: str, view: ValidatedView, store: BlobStore) -> dict[str, Any]:
 
 def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
     """Load everything that a chain needs, from the artefacts alone."""
-    path = store.local_path(args["transfer"])
     check_kinship(args, store)
-    with open_transfer(path) as transfer:
+    with open_transfer(store.local_path(args["transfer"])) as transfer:
         header = transfer.header
+    return assemble(
+        args,
+        store,
+        header,
+        delivered=read_asset(store.local_path(args["asset"])),
+        exact=read_asset(store.local_path(args["exact"])) if "exact" in args else None,
+    )
+
+
+def assemble(
+    args: dict[str, Any],
+    store: BlobStore,
+    header: TransferHeader,
+    *,
+    delivered: Asset,
+    exact: Asset | None,
+) -> ValidationScene:
+    """Join assets with what ``args`` name: transfer, whose header it is, environment and light."""
+    path = store.local_path(args["transfer"])
     scene = scene_of(header)
     bake = header.provenance["bake"]
-    delivered = read_asset(store.local_path(args["asset"]))
 
     def relight_stored(part: int, vertices: I64, light: F64) -> F64:
         start = header.parts[part].vertex_range[0]
@@ -148,7 +166,7 @@ def load_validation(args: dict[str, Any], store: BlobStore) -> ValidationScene:
         directions=cube_directions(bake["cube_resolution"]),
         supersample=bake["supersample"],
         relight_stored=relight_stored,
-        exact=read_asset(store.local_path(args["exact"])) if "exact" in args else None,
+        exact=exact,
         delivered=delivered,
         environment=load_light(store, args["environment"]),
         light=read_light(store.local_path(args["light"])),

@@ -143,6 +143,7 @@ def make_report(
     transfer: Mapping[str, Any] | None = None,
     ladder: Sequence[Mapping[str, Any]] = (),
     frontier: Mapping[str, Any] | None = None,
+    search: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
     overdraw: float | None = None,
 ) -> dict[str, Any]:
@@ -199,5 +200,6 @@ def make_report(
         "settings": dict(settings or {}),
         "ladder": [dict(step) for step in ladder],
         "frontier": dict(frontier) if frontier else None,
+        "search": dict(search) if search else None,
         "notes": list(notes),
     }

@@ -1,0 +1,196 @@
+"""Assets with a budget through the real stages, in this process: what is tried, and what is left."""
+
+import json
+import time
+
+import pytest
+
+from prtbake_storage.contract.jobs import job_request_adapter
+from prtbake_storage.decode.reconstruct import reconstruct
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.jobs import clock, deadline
+from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.jobs.search_stages import limit
+from prtbake_workers.planning.error_search import WINDOW
+from prtbake_workers.report.account import pooled_budget
+from support.local_stages import run_stage, run_stages
+from support.scenes import NO_RESOURCE, context_of
+
+SKY = {"builtin": {"name": "sun_sky", "width": 32}}
+TARGET = 0.25
+NO_BOUNCES = {"interreflection": "off"}
+LEFT_OPEN = {
+    "bake": {"cube_resolution": 8, "n_centres": 42},
+    "compress": {"max_iterations": 2},
+    "render": {"width": 16, "height": 16, "backend": "cpu"},
+    "validation": {"width": 32, "height": 24, "passes": 4, "samples": 32},
+}
+
+
+def normal(budget, **changes):
+    """A request as the service stores it."""
+    request = {
+        "kind": "asset",
+        "mesh": f"mesh-{NO_RESOURCE}",
+        "environment": f"environment-{NO_RESOURCE}",
+        "brdf": {"model": "lambert", "albedo": 0.7},
+        "budget": budget,
+        "settings": LEFT_OPEN,
+        **changes,
+    }
+    return job_request_adapter.validate_python(request).model_dump(mode="json")
+
+
+def begun(store, request):
+    """What the service and the engine tell of a job that starts now."""
+    mesh = {"builtin": {"name": "icosphere", "tessellation": 2}}
+    return context_of(store, request, mesh, SKY) | {"started": time.time()}
+
+
+def run(store, request, context):
+    return run_stages(REGISTRY.stages("asset", request, context), store)
+
+
+@pytest.fixture(scope="module")
+def met(store):
+    """An error that the lowest step meets with room."""
+    request = normal({"max_error": TARGET})
+    context = begun(store, request)
+    results = run(store, request, context)
+    return request, context, results, REGISTRY.finish("asset", request, context, results)
+
+
+def test_room_is_spent_on_compression_until_the_aim_is_near(met):
+    *_, finished = met
+    bakes, lights, compressions = (
+        [one for one in finished.result["search"]["attempts"] if one["name"].startswith(kind)]
+        for kind in ("bake", "light", "compression")
+    )
+    assert [one["name"] for one in bakes] == ["bake, draft"]
+    assert bakes[0]["error"] < 0.5 * TARGET
+    assert lights[-1]["taken"]
+    (taken,) = (one for one in compressions if one["taken"])
+    aim = finished.result["search"]["aim"]
+    assert 0.6 * TARGET < aim < 0.9 * TARGET
+    # of those that stayed below the aim it errs by most
+    below = [one["error"] for one in compressions if one["error"] <= WINDOW[1] * aim]
+    assert 0.8 * aim < taken["error"]
+    assert taken["error"] == max(below)
+    assert all(one["why"] and one["seconds"] > 0 for one in compressions)
+
+
+def test_held_out_views_err_by_less_than_the_target(met, store):
+    *_, results, finished = met
+    views = [view for camera in results["validate 1"] for view in camera["views"]]
+    total = pooled_budget(views)["total"]
+    assert 0.0 < total <= TARGET
+    assert finished.result["budget"]["total"] == total
+
+
+def test_what_is_delivered_is_the_attempt_that_was_taken(met, store):
+    request, _, results, finished = met
+    files = {file.name: file.digest for file in finished.artefacts}
+    taken = [one for one in finished.result["search"]["attempts"] if one["taken"] and one["bytes"]]
+    assert (
+        taken[-1]["bytes"] == store.size(files["asset.h5"]) == finished.result["bytes"]["asset.h5"]
+    )
+    asked = float(taken[-1]["name"].split()[-1])
+    asset = read_asset(store.local_path(files["asset.h5"]))
+    assert asset.provenance["compress"]["max_error"] == pytest.approx(asked, rel=1e-2)
+    assert asset.provenance["transfer"] == files["transfer.h5"]
+    assert reconstruct(asset.parts[0], slice(None)).any()
+    page = store.read_bytes(files["report.html"]).decode()
+    assert "What was tried for the budget" in page
+    assert "max_error 0.25" in page
+    report = json.loads(store.read_bytes(files["report.json"]))
+    assert report["search"]["budget"] == request["budget"]
+    # what was left has cost something too
+    spent = sum(
+        cost.seconds for name in results for cost in results.measured(name) if name != "report"
+    )
+    assert report["seconds"]["total"] == pytest.approx(spent)
+
+
+def test_an_error_that_no_step_meets_is_refused_with_the_best(store):
+    """Shadows of a coarse plane: interpolation between its vertices, which no setting changes."""
+    request = normal({"max_error": 0.002}, receiver={"resolution": 6}, effects=NO_BOUNCES)
+    with pytest.raises(SettingsError, match=r"0\.20% cannot be met: at best (\d+\.\d+)%") as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/budget/max_error"
+    assert "vertex interpolation, which a finer mesh or receiver would lower" in str(raised.value)
+
+
+def test_a_second_is_too_short_and_the_error_tells_the_least(store):
+    request = normal({"max_seconds": 1.0})
+    with pytest.raises(
+        SettingsError, match=r"1 s are too few: .* predicted to take \d+ s"
+    ) as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/budget/max_seconds"
+
+
+@pytest.fixture(scope="module")
+def timed(store):
+    """The steps of a ladder whose bakes are pinned: they differ in light and compression."""
+    request = normal({"max_seconds": 200.0})
+    context = begun(store, request)
+    results = run(store, request, context)
+    return request, context, results, REGISTRY.finish("asset", request, context, results)
+
+
+def test_the_best_step_that_time_allows_is_delivered(timed):
+    *_, finished = timed
+    attempts = finished.result["search"]["attempts"]
+    assert attempts[0]["name"] == "quality draft"
+    assert [one["taken"] for one in attempts] == [False] * (len(attempts) - 1) + [True]
+    assert len(attempts) > 1
+    assert finished.result["budget"]["total"] > 0.0
+    assert {file.name for file in finished.artefacts} >= {"asset.h5", "report.html"}
+
+
+def test_an_attempt_that_runs_late_is_given_up_and_the_one_before_delivered(timed, store):
+    """The same job when the clock says, after its first attempt, that there was time for another,
+    and the tasks of that one find that there is none."""
+    request, context, results, _ = timed
+    late = Results()
+    left = list(REGISTRY.stages("asset", request, context))
+    while not left[0].name.startswith("bake 2"):
+        name = left.pop(0).name
+        late.add(name, results[name], results.measured(name))
+    late.add("bake 2", [deadline.LATE], results.measured("bake 2"))
+    for stage in left[1:]:
+        run_stage(stage, late, store)
+    finished = REGISTRY.finish("asset", request, context, late)
+    attempts = finished.result["search"]["attempts"]
+    assert [one["taken"] for one in attempts] == [True, False]
+    assert attempts[1]["why"] == "given up: its time was out"
+    files = {file.name: file.digest for file in finished.artefacts}
+    assert files["asset.h5"] == results["quantise 1"][0]["asset"]
+
+
+def test_tasks_leave_when_their_time_is_out(store):
+    """A task that would take seconds leaves at once; one that has time does its work."""
+    request = normal({"max_seconds": 3600.0})
+    context = begun(store, request)
+    (stage,) = [s for s in REGISTRY.stages("asset", request, context) if s.name == "plan 1"]
+    results = Results()
+    run_stage(
+        limit(Stage("a", "", 1.0, lambda _: stage.tasks(Results())), lambda _: 0.0), results, store
+    )
+    assert results["a"] == [deadline.LATE]
+    began = time.time()
+
+    def napping(_):
+        return [Task("prtbake_workers.jobs.clock:look", {"started": began, "place": "nap"})]
+
+    run_stage(limit(Stage("b", "", 1.0, napping), lambda _: began + 60.0), results, store)
+    assert results["b"][0]["elapsed"] >= 0.0
+
+
+def test_the_clock_tells_the_seconds_since_the_start(store):
+    results = Results()
+    began = time.time() - 5.0
+    run_stage(Stage("c", "", 1.0, lambda _: [clock.task(began, "here")]), results, store)
+    assert 5.0 <= results["c"][0]["elapsed"] < 15.0

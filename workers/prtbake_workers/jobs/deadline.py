@@ -1,0 +1,64 @@
+"""Tasks that leave at a point in time: what they were doing is given up, and the result says so."""
+
+import importlib
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from types import FrameType
+from typing import Any
+
+from prtbake_storage.queue.context import TaskContext
+from prtbake_storage.queue.stages import Task
+
+_MODULE = "prtbake_workers.jobs.deadline"
+_PACKAGE = "prtbake_workers.jobs."
+LATE = {"late": True}
+"""The result of a task that left."""
+
+
+class _TooLate(BaseException):
+    """The time is out; no handler of errors may take it for one."""
+
+
+def until(task: Task, when: float) -> Task:
+    """Make a task leave at ``when``, in seconds since 1970."""
+    args = {"function": task.function, "args": task.args, "when": when}
+    return replace(task, function=f"{_MODULE}:run", args=args)
+
+
+def run(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
+    """Task: do what another does, or be `LATE`.
+
+    A product or a batch of rays under way is finished first: these take a second at most.
+    """
+    module, _, name = args["function"].partition(":")
+    if not module.startswith(_PACKAGE):
+        raise ValueError(f"{args['function']} is no task of a job")
+    function = getattr(importlib.import_module(module), name)
+    try:
+        with _alarm(args["when"]):
+            done: dict[str, Any] = function(args["args"], context)
+            return done
+    except _TooLate:
+        return dict(LATE)
+
+
+@contextmanager
+def _alarm(when: float) -> Iterator[None]:
+    """Raise `_TooLate` in this thread at ``when``."""
+    left = when - time.time()
+    if left <= 0.0:
+        raise _TooLate
+
+    def late(_number: int, _frame: FrameType | None) -> None:
+        raise _TooLate
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, left)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,109 @@
+"""What searches for a budget have in common: attempts as stages, seen each as a job of its own.
+
+A search lists the stages of as many attempts as it may ever make.  Which of them have tasks follows
+from what the attempts before measured; the others are empty, and pass in a moment.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_workers.jobs import deadline
+from prtbake_workers.jobs.work import rates_of
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S
+
+BAKE = ("plan", "bake", "scattering", "bounces", "add_bounces", "join")
+"""Stages from a request to its transfer."""
+
+AFTER = ("render", "validate", "report")
+"""Stages that come after a search."""
+
+
+def numbered(name: str, attempt: int) -> str:
+    """Name a stage of an attempt, which count from 0, for people, who count from 1."""
+    return f"{name} {attempt + 1}"
+
+
+def view(results: Results, names: Mapping[str, str]) -> Results:
+    """Give some finished stages under other names: ``names`` are theirs by those that they get."""
+    seen = Results()
+    for name, own in names.items():
+        if own in results:
+            seen.add(name, results[own], results.measured(own), recalled=results.recalled(own))
+    return seen
+
+
+def attempt_view(results: Results, attempt: int, names: Iterable[str] = BAKE) -> Results:
+    """Give an attempt's finished stages as if it were alone."""
+    return view(results, {name: numbered(name, attempt) for name in names})
+
+
+def is_late(results: Results) -> bool:
+    """Tell whether a task of these left because its time was out."""
+    return any(value.get("late") for name in results for value in results[name])
+
+
+def limit(stage: Stage, until: Callable[[Results], float | None]) -> Stage:
+    """Make the tasks of a stage leave when ``until`` says; None lets them take their time."""
+
+    def tasks(results: Results) -> list[Task]:
+        listed = stage.tasks(results)
+        when = until(results) if listed else None
+        return listed if when is None else [deadline.until(task, when) for task in listed]
+
+    return replace(stage, tasks=tasks)
+
+
+def wall_seconds(
+    work: Mapping[str, Mapping[str, float]], context: Mapping[str, Any], stages: Iterable[str]
+) -> float:
+    """Predict by the clock: the tasks of a stage share the slots that live at submission."""
+    rates, slots = rates_of(context), max(1, int(context.get("tile_slots", 1)))
+    return sum(
+        rates.stage_seconds(stage, work[stage]) / max(1.0, min(slots, work[stage].get("tasks", 1)))
+        + BETWEEN_STAGES_S
+        for stage in stages
+        if stage in work and any(work[stage].values())
+    )
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An attempt: what it errs by, whether it is in what is delivered, and why it is or not."""
+
+    name: str
+    error: float | None
+    taken: bool
+    why: str
+    stages: tuple[str, ...]
+
+
+FILES = ("join", "quantise", "fit_light")
+"""Stages that tell the size of their file."""
+
+
+def account(tried: Iterable[Tried], results: Results) -> list[dict[str, Any]]:
+    """Say of every attempt what it erred by, took and weighed, and why it was taken or left."""
+    listed = []
+    for one in tried:
+        files = [name for name in one.stages if name.split()[0] in FILES and results.get(name)]
+        listed.append(
+            {
+                "name": one.name,
+                "error": one.error,
+                "seconds": seconds_of(results, one.stages),
+                "bytes": results[files[-1]][0].get("bytes") if files else None,
+                "taken": one.taken,
+                "why": one.why,
+            }
+        )
+    return listed
+
+
+def seconds_of(results: Results, names: Iterable[str]) -> float:
+    """Add up what the tasks of some stages took."""
+    return sum(
+        (cost.seconds for name in names if name in results for cost in results.measured(name)),
+        start=0.0,
+    )
