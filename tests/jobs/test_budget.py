@@ -146,7 +146,7 @@ def test_the_best_step_that_time_allows_is_delivered(timed):
     assert attempts[0]["name"] == "quality draft"
     assert [one["taken"] for one in attempts] == [False] * (len(attempts) - 1) + [True]
     assert len(attempts) > 1
-    assert finished.result["budget"]["total"] > 0.0
+    assert finished.result["metrics"]
     assert {file.name for file in finished.artefacts} >= {"asset.h5", "report.html"}
 
 
