@@ -73,6 +73,39 @@ def test_submit_asset_from_words(
     assert request["two_sided"] is False
 
 
+def test_submit_asset_with_a_quality_or_a_budget(
+    run: Run, service: LiveService, environment: str
+) -> None:
+    canonical = service.backend.blobs.put_bytes(b"mesh of a budget")
+    result = {"canonical": canonical, "understood": {}}
+    service.answer_next("register", lambda job: service.succeed(job, result))
+    asked = ("--max-error", "0.05", "--max-seconds", "600")
+    for options, quality, budget in (
+        ((), "medium", None),
+        (("--quality", "low"), "low", None),
+        (asked[:2], None, {"max_error": 0.05, "max_seconds": None}),
+        (asked, None, {"max_error": 0.05, "max_seconds": 600.0}),
+    ):
+        made = run(
+            *("submit", "asset", "--mesh", "builtin:teapot:11", "--environment", environment),
+            *("--brdf", "lambert", *options, "-o", "json"),
+        )
+        assert made.exit_code == 0, made.output
+        request = json.loads(made.stdout)["request"]
+        assert (request["quality"], request["budget"]) == (quality, budget)
+
+
+def test_a_quality_beside_a_budget_is_refused(
+    run: Run, service: LiveService, environment: str
+) -> None:
+    made = run(
+        *("submit", "asset", "--mesh", "mesh-0000000000000000", "--environment", environment),
+        *("--brdf", "lambert", "--max-error", "0.05", "--quality", "low"),
+    )
+    assert made.exit_code != 0
+    assert "one quality or budget" in made.output
+
+
 def test_submit_materials_from_words(
     run: Run, service: LiveService, environment: str, tmp_path: Path
 ) -> None:

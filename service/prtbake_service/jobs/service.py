@@ -13,6 +13,7 @@ from prtbake_service.validation import validation_entries
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import (
     AnyRequest,
+    AssetRequest,
     Estimate,
     Job,
     JobKind,
@@ -78,7 +79,7 @@ class JobService:
                 id=job_id or new_id(request.kind),
                 kind=request.kind,
                 request=body,
-                context=self._resolver.resolve(request) | {"rates": self._backend.rates.current()},
+                context=self._resolver.resolve(request) | self._machine(request),
                 project=self._project,
                 label=request.label,
                 priority=request.priority,
@@ -88,6 +89,13 @@ class JobService:
                 body_digest=digest,
             )
         )
+
+    def _machine(self, request: AnyRequest) -> dict[str, Any]:
+        """Tell what work takes here; a job with a time to keep also asks how many share it."""
+        rates = {"rates": self._backend.rates.current()}
+        if isinstance(request, AssetRequest) and request.budget is not None:
+            return rates | {"tile_slots": self._backend.tile_slots()}
+        return rates
 
     def estimate(self, request: AnyRequest) -> Job:
         """Start the quick job that plans and predicts."""

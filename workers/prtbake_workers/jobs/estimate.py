@@ -39,6 +39,7 @@ from prtbake_workers.jobs import calibrate, study_estimate
 from prtbake_workers.jobs.compress import compressions_of, work_of
 from prtbake_workers.jobs.lights import light_source, load_light
 from prtbake_workers.jobs.plan import arguments, plan_scene
+from prtbake_workers.jobs.time_budget import legal_steps
 from prtbake_workers.jobs.validate import check_kinship, scene_of
 from prtbake_workers.jobs.work import (
     Work,
@@ -57,6 +58,7 @@ from prtbake_workers.planning.picture_bytes import (
     validation_files,
     with_reports,
 )
+from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import (
     PartCompression,
     PlannedBake,
@@ -160,7 +162,10 @@ def _scene(
 ) -> Estimate:
     """Plan the scene: also gives the errors that are known before the first ray."""
     settings, quality = _settings(request)
-    planned, plan = plan_scene(arguments(body, given, settings, quality), store)
+    args = arguments(body, given, settings, quality)
+    if isinstance(request, AssetRequest) and request.budget is not None:
+        args["steps"] = {name: own.to_dict() for name, own in legal_steps(request)[1:]}
+    planned, plan = plan_scene(args, store)
     alone = isinstance(request, BakeRequest)
     resolved = replace(settings, bake=BakeSettings.model_validate(planned.header["bake"]))
     work = asset_work(plan.to_dict(), resolved, given)
@@ -191,8 +196,29 @@ def _scene(
         warnings=[
             *plan.notes,
             *(() if alone else uncounted(resolved.compress, resolved.fit_light).values()),
+            *_budget_warnings(request, plan, lasting),
         ],
     )
+
+
+def _budget_warnings(
+    request: AssetRequest | BakeRequest, plan: Plan, lasting: float
+) -> tuple[str, ...]:
+    """Say what of a search is predicted, and whether its time can be kept at all."""
+    if not isinstance(request, AssetRequest) or request.budget is None:
+        return ()
+    steps = ", ".join(f"{step.quality} {step.seconds:.0f} s" for step in plan.ladder)
+    found = [
+        "the budget is searched from quality draft on, whose seconds, bytes and memory these are"
+        + (f"; making an asset of other qualities is predicted to take {steps}" if steps else "")
+    ]
+    seconds = request.budget.max_seconds
+    if seconds is not None and lasting > seconds:
+        found.append(
+            f"budget.max_seconds: {seconds:g} s are too few, the least is predicted to be "
+            f"{lasting:.0f} s; the job would be refused"
+        )
+    return tuple(found)
 
 
 def _compress(request: CompressRequest, given: dict[str, Any], store: BlobStore) -> Estimate:

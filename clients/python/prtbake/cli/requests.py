@@ -141,6 +141,25 @@ Quality = Annotated[
         callback=one_of(*get_args(QualityName)),
     ),
 ]
+QualityOrBudget = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="draft, low, medium, high or reference; medium unless a budget is given.",
+        callback=one_of(*get_args(QualityName)),
+    ),
+]
+MaxError = Annotated[
+    float | None,
+    typer.Option(
+        metavar="RATIO",
+        help="In place of a quality: what pictures may err by, relative L2, as 0.05.",
+    ),
+]
+MaxSeconds = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="In place of a quality: what the job may take."),
+]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=...", help="A setting, as n_terms=16; repeat for several."),
@@ -186,7 +205,9 @@ def asset(
     brdf: Brdf,
     environment: Environment,
     add_light: AddLight = None,
-    quality: Quality = "medium",
+    quality: QualityOrBudget = None,
+    max_error: MaxError = None,
+    max_seconds: MaxSeconds = None,
     receiver: Receiver = None,
     albedo_texture: Texture = None,
     subsurface: Medium = None,
@@ -233,7 +254,7 @@ def asset(
         **scene,
         "environment": light,
         **added_lights(client, add_light),
-        "quality": quality,
+        **_quality_or_budget(quality, max_error, max_seconds),
         "settings": settings,
         **_common(label, priority, seed, timeout),
     }
@@ -501,6 +522,17 @@ def _stage_settings(pairs: list[str] | None) -> Request:
             raise typer.BadParameter(f"write {stage}.NAME=VALUE", param_hint="--set")
         legal_names(fields, STAGES[stage].model_fields, stage, "--set")
     return given
+
+
+def _quality_or_budget(
+    quality: str | None, max_error: float | None, max_seconds: float | None
+) -> Request:
+    """Say what the asset may cost, or how good it shall be; the service refuses both together."""
+    given = {"max_error": max_error, "max_seconds": max_seconds}
+    budget = {name: value for name, value in given.items() if value is not None}
+    if not budget:
+        return {"quality": quality or "medium"}
+    return {"budget": budget} | ({} if quality is None else {"quality": quality})
 
 
 def _common(label: str | None, priority: int, seed: int, timeout: int | None) -> Request:

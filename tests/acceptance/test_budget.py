@@ -1,0 +1,59 @@
+"""An asset with a budget over REST, by real workers: met, kept and refused."""
+
+from typing import Any
+
+import pytest
+
+from prtbake_storage.contract.jobs import JobState
+from prtbake_storage.contract.resources import MeshRegistration
+from support.deployment import Installation
+
+pytestmark = pytest.mark.acceptance
+
+SETTINGS: dict[str, Any] = {
+    "bake": {"cube_resolution": 8, "n_centres": 42},
+    "compress": {"max_iterations": 2},
+    "render": {"width": 32, "height": 24},
+    "validation": {"width": 32, "height": 24, "passes": 4, "samples": 32},
+}
+
+
+def ball_request(installation: Installation, budget: dict[str, float]) -> dict[str, Any]:
+    builtin = {"name": "icosphere", "tessellation": 2}
+    mesh = installation.client.register(MeshRegistration.model_validate({"builtin": builtin}))
+    return {
+        "kind": "asset", "mesh": mesh.id, "brdf": {"model": "lambert", "albedo": 0.7},
+        "environment": installation.environment, "budget": budget, "settings": SETTINGS,
+    }  # fmt: skip
+
+
+def test_an_error_is_met_at_held_out_views(local: Installation) -> None:
+    request = ball_request(local, {"max_error": 0.2})
+    estimate = local.client.estimate(request)
+    assert any("searched from quality draft on" in one for one in estimate.warnings)
+    job = local.client.wait(local.client.submit(request).id)
+    assert job.state is JobState.succeeded, job.error
+    assert job.result is not None
+    assert job.result["budget"]["total"] <= 0.2
+    attempts = job.result["search"]["attempts"]
+    assert {one["name"].split(",")[0] for one in attempts} == {"bake", "light", "compression"}
+    assert {"asset.h5", "light.h5", "report.html"} <= {file.name for file in job.artefacts}
+
+
+def test_seconds_are_kept(local: Installation) -> None:
+    job = local.client.wait(local.client.submit(ball_request(local, {"max_seconds": 90.0})).id)
+    assert job.state is JobState.succeeded, job.error
+    assert job.started is not None
+    assert job.finished is not None
+    assert (job.finished - job.started).total_seconds() <= 1.1 * 90.0
+    assert job.result is not None
+    assert job.result["search"]["attempts"][-1]["why"]
+
+
+def test_a_second_is_refused_with_the_least(local: Installation) -> None:
+    submitted = local.client.submit(ball_request(local, {"max_seconds": 1.0}))
+    job = local.client.wait(submitted.id, check=False)
+    assert job.state is JobState.failed
+    assert job.error is not None
+    assert (job.error.kind, job.error.pointer) == ("input", "/budget/max_seconds")
+    assert "is predicted to take" in job.error.detail

@@ -1,0 +1,86 @@
+"""Budgets as they go over the wire: one of two, and nothing beside them that decides the same."""
+
+import pytest
+from pydantic import ValidationError
+
+from prtbake_storage.contract.jobs import DECIDED_BY_ERROR, job_request_adapter
+
+ASSET = {
+    "kind": "asset",
+    "mesh": "mesh-0000000000000000",
+    "environment": "environment-0000000000000000",
+    "brdf": {"model": "lambert"},
+}
+VALUES = {"ranks": [2, 4, 4], "n_components": 4, "n_lobes": 10}
+
+
+def request(**fields):
+    return job_request_adapter.validate_python(ASSET | fields)
+
+
+def refusal(**fields):
+    with pytest.raises(ValidationError) as refused:
+        request(**fields)
+    (first, *_) = refused.value.errors()
+    return first["loc"][-2:], first["msg"]
+
+
+def test_a_request_has_a_quality_or_a_budget():
+    assert request().quality == "medium"
+    assert request(quality="low").quality == "low"
+    budgeted = request(budget={"max_error": 0.05})
+    assert budgeted.quality is None
+    assert budgeted.budget.max_error == 0.05
+    where, why = refusal(budget={"max_error": 0.05}, quality="low")
+    assert where == ("asset", "quality")
+    assert "one quality or budget" in why
+
+
+def test_what_is_stored_is_read_back_as_it_was():
+    for fields in ({}, {"budget": {"max_seconds": 60.0}}, {"budget": {"max_error": 0.1}}):
+        stored = request(**fields).model_dump(mode="json")
+        assert job_request_adapter.validate_python(stored).model_dump(mode="json") == stored
+
+
+@pytest.mark.parametrize(
+    ("budget", "field"),
+    [
+        ({"max_error": 0.0}, "max_error"),
+        ({"max_error": 1.0}, "max_error"),
+        ({"max_seconds": 0.0}, "max_seconds"),
+        ({"max_seconds": float("inf")}, "max_seconds"),
+        ({"max_error": 0.1, "max_minutes": 5}, "max_minutes"),
+    ],
+)
+def test_a_budget_that_makes_no_sense_is_refused_by_its_field(budget, field):
+    where, _ = refusal(budget=budget)
+    assert where == ("budget", field)
+
+
+def test_an_empty_budget_is_refused():
+    _, why = refusal(budget={})
+    assert "one at least of max_error, max_seconds" in why
+
+
+@pytest.mark.parametrize(("stage", "name"), DECIDED_BY_ERROR)
+def test_settings_that_an_error_decides_are_refused_by_name(stage, name):
+    settings = {stage: {name: VALUES.get(name, 0.01)}}
+    where, why = refusal(budget={"max_error": 0.05}, settings=settings)
+    assert where == ("asset", "settings")
+    assert f"budget.max_error chooses {stage}.{name}" in why
+    # a time decides nothing of the kind
+    assert request(budget={"max_seconds": 60.0}, settings=settings).settings
+
+
+def test_eight_bits_are_refused_beside_an_error():
+    settings = {"compress": {"bits": 8}}
+    _, why = refusal(budget={"max_error": 0.05}, settings=settings)
+    assert "compress.bits" in why
+
+
+def test_a_study_searches_no_budget():
+    base = ASSET | {"budget": {"max_error": 0.05}}
+    with pytest.raises(ValidationError, match="searches no budget"):
+        job_request_adapter.validate_python(
+            {"kind": "study", "base": base, "axes": {"receiver.resolution": [4, 8]}}
+        )
