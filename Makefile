@@ -7,7 +7,7 @@ PYTEST := $(BIN)/pytest
 # every test process and every task's child would compile the packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets sloan chen mitsuba cost-model tsai accuracy serve docs format lock clean
+.PHONY: help setup gl demo ladder test bunny check bench figure4 figure7 results effects targets budgets sloan chen mitsuba cost-model tsai accuracy serve docs format lock clean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -77,6 +77,10 @@ effects: setup ## Hold planning against what effects cost and bring, into docs/m
 targets: setup ## Hold errors asked of compression against delivered files, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/targets.py
+
+budgets: setup gl ## Hold budgets of assets against what came, into docs/measured (PRTBAKE_DATA=...)
+	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/measured/budgets.py
 
 sloan: setup ## Redo the clustered PCA of Sloan's paper, into docs/measured (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }

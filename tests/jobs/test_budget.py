@@ -3,14 +3,17 @@
 import json
 import time
 
+import numpy as np
 import pytest
 
 from prtbake_storage.contract.jobs import job_request_adapter
+from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.jobs import clock, deadline
+from prtbake_workers.jobs import clock, deadline, tuning
+from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
 from prtbake_workers.planning.error_search import WINDOW
@@ -194,3 +197,74 @@ def test_the_clock_tells_the_seconds_since_the_start(store):
     began = time.time() - 5.0
     run_stage(Stage("c", "", 1.0, lambda _: [clock.task(began, "here")]), results, store)
     assert 5.0 <= results["c"][0]["elapsed"] < 15.0
+
+
+def test_an_estimate_is_of_the_first_attempt_and_says_so(store):
+    request = normal({"max_error": 0.05, "max_seconds": 0.5})
+    parsed = job_request_adapter.validate_python(request)
+    found = predict(parsed, request, begun(store, request), store)
+    first, short = found.warnings[-2:]
+    assert "searched from quality draft on" in first
+    assert "reference" in first
+    assert short.startswith("budget.max_seconds: 0.5 s are too few")
+    # a quality has no search to warn of
+    plain = request | {"budget": None, "quality": "draft"}
+    of_draft = predict(
+        job_request_adapter.validate_python(plain), plain, begun(store, plain), store
+    )
+    assert not any("budget" in one for one in of_draft.warnings)
+    assert of_draft.total_seconds == pytest.approx(found.total_seconds)
+
+
+def test_tuning_looks_where_the_validation_does_not():
+    settings = ValidateSettings(
+        cameras=[Camera(), Camera(name="inside", eye=(0.0, 0.0, 2.0), target=(0.0, 0.0, 0.0))],
+        rotations_deg=[(0.0, 21.0, 0.0), (0.0, 66.5, 0.0)],
+    )
+    views = tuning.tuning_views(settings)
+    turns = [turn for _, own in views for turn in own]
+    assert len(set(turns)) == 8
+    assert not set(turns) & set(settings.rotations_deg)
+    assert len({camera.azimuth_deg for camera, _ in views if camera.eye is None}) == 2
+    assert all(camera not in settings.cameras for camera, _ in views)
+    eyes = [np.array(camera.eye) for camera, _ in views if camera.eye is not None]
+    # about what it looks at, as far off as it was, and not far away: it may stand in a room
+    assert all(np.linalg.norm(eye) == pytest.approx(2.0) for eye in eyes)
+    assert all(0.1 < np.linalg.norm(eye - [0.0, 0.0, 2.0]) < 1.5 for eye in eyes)
+
+
+def test_a_search_that_is_out_of_time_delivers_what_meets_the_error(met, store):
+    """The same search where a later compression left: what was measured before it counts."""
+    request, context, results, _ = met
+    pressed = request | {"budget": request["budget"] | {"max_seconds": 6e5}}
+    late = Results()
+    stages = REGISTRY.stages("asset", pressed, context)
+    last = max(
+        int(name.split()[1]) for name in results if name.startswith("compress ") and results[name]
+    )
+    names = [stage.name for stage in stages]
+    cut = names.index(f"measure asset {last}")
+    for name in names[:cut]:
+        late.add(name, results[name], results.measured(name))
+    late.add(names[cut], [deadline.LATE], results.measured(names[cut])[:1])
+    before = [late.get(f"measure asset {at}") for at in range(1, last)]
+    assert any(before)
+    for stage in stages[cut + 1 :]:
+        run_stage(stage, late, store)
+    finished = REGISTRY.finish("asset", pressed, context, late)
+    assert finished.result["budget"]["total"] <= TARGET
+    taken = [one for one in finished.result["search"]["attempts"] if one["taken"]]
+    assert taken[-1]["error"] <= WINDOW[1] * finished.result["search"]["aim"]
+
+
+def test_a_search_that_is_out_of_time_with_nothing_fails_by_the_time(met):
+    request, context, results, _ = met
+    late = Results()
+    for name in ("plan 1", "bake 1", "scattering 1", "bounces 1", "add_bounces 1"):
+        late.add(name, results[name], results.measured(name))
+    late.add("join 1", [deadline.LATE], results.measured("join 1"))
+    pressed = request | {"budget": request["budget"] | {"max_seconds": 6e5}}
+    stages = {stage.name: stage for stage in REGISTRY.stages("asset", pressed, context)}
+    with pytest.raises(SettingsError, match=r"are too few for an error of 25\.00%") as raised:
+        stages["fit_light 1"].tasks(late)
+    assert raised.value.pointer == "/budget/max_seconds"

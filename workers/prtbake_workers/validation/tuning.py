@@ -30,7 +30,7 @@ from prtbake_workers.validation.shading import with_plain_terms
 MOST_TIMES = 64.0
 """Light samples of a reference over those of its settings, at most."""
 
-FAR_OFF = 0.1
+FAR_OFF = 0.2
 """Of what an asset errs by, that noise may be where the aim is far below: that is seen without."""
 
 SEED_OFFSET = 500_000
