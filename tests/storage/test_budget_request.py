@@ -11,7 +11,7 @@ ASSET = {
     "environment": "environment-0000000000000000",
     "brdf": {"model": "lambert"},
 }
-VALUES = {"ranks": [2, 4, 4], "n_components": 4, "n_lobes": 10}
+VALUES = {"ranks": [2, 4, 4], "n_components": 4, "n_lobes": 10, "max_bytes": 10_000}
 
 
 def request(**fields):

@@ -169,6 +169,7 @@ DECIDED_BY_ERROR = (
     ("compress", "ranks"),
     ("compress", "n_components"),
     ("compress", "max_error"),
+    ("compress", "max_bytes"),
     ("compress", "max_quantisation_error"),
     ("fit_light", "n_lobes"),
     ("fit_light", "max_error"),

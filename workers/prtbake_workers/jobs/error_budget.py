@@ -27,6 +27,7 @@ from prtbake_workers.jobs.error_trail import (
     refusal,
     views_of,
 )
+from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.search_stages import (
     AFTER,
     BAKE,
@@ -66,7 +67,7 @@ class ErrorSearch:
             }
             for rung in self.rungs
         ]
-        self._environment = context["environment"]["canonical"]
+        self._environment = light_source(context)
 
     def aim(self, results: Results) -> float | None:
         """Give the error that is aimed at, at tuning views."""

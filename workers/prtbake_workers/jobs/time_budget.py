@@ -13,6 +13,7 @@ from prtbake_storage.contract.settings import Quality, ValidateSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import bake, clock, compress, fit_light, render, validate
+from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.search_stages import (
     AFTER,
     BAKE,
@@ -25,13 +26,12 @@ from prtbake_workers.jobs.search_stages import (
     view,
     wall_seconds,
 )
-from prtbake_workers.jobs.work import asset_work, n_texels
+from prtbake_workers.jobs.work import asset_work, fit_samples, n_texels
 from prtbake_workers.planning.ladder_steps import making_seconds
 from prtbake_workers.planning.later_stages import later_work
 from prtbake_workers.planning.presets import StageSettings, resolve_stages
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
-from prtbake_workers.planning.stage_work import fit_work
 from prtbake_workers.planning.time_search import (
     MARGIN,
     Measured,
@@ -76,7 +76,7 @@ class TimeSearch:
             {stage.name: stage for stage in bake.stages(request, context, settings, quality)}
             for quality, settings in self._ladder
         ]
-        self._environment = context["environment"]["canonical"]
+        self._environment = light_source(context)
 
     # decisions
 
@@ -178,18 +178,19 @@ class TimeSearch:
         making = making_seconds(Rates().all_seconds(plan["work"]))
         if step:
             making, terms = ladder[quality]["seconds"], ladder[quality]["terms"]
+        samples = fit_samples(settings.fit_light, self._context)
         later = later_work(
             settings,
             n_verts=[part["vertex_range"][1] - part["vertex_range"][0] for part in plan["parts"]],
             part_terms=terms,
             seen=[SeenPixels(**one) for one in plan["seen"]],
             n_texels=n_texels(self._context),
+            samples=samples,
             baked_bounces=plan["bounces"] is not None and plan["bounces"]["max_bounces"] > 0,
         )
-        fit = fit_work(settings.fit_light, n_texels=n_texels(self._context))
         return Step(
             making=making,
-            fit=Rates().stage_seconds("fit_light", fit),
+            fit=Rates().stage_seconds("fit_light", later["fit_light"]),
             rest=wall_seconds(later, self._context | {"rates": None}, AFTER),
         )
 

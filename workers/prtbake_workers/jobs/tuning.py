@@ -16,6 +16,7 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.arrays import F32
 from prtbake_workers.jobs.compress import make_asset, make_part
+from prtbake_workers.jobs.lights import LightSource
 from prtbake_workers.jobs.validate import MEMORY_BYTES, assemble
 from prtbake_workers.validation.hits import trace_camera
 from prtbake_workers.validation.tuning import (
@@ -91,7 +92,7 @@ def _other(angle: float, settings: ValidateSettings) -> float:
 def stage(
     name: str,
     inputs_of: Callable[[Results], dict[str, Any] | None],
-    environment: str,
+    environment: LightSource,
     settings: ValidateSettings,
     max_error: float,
     seed: int,
