@@ -133,6 +133,13 @@ def join_transfer(path: Path, header: TransferHeader, tiles: Sequence[Sequence[P
         h5.put_json(file, "provenance", dict(header.provenance))
 
 
+def unpacked(values: I16, scale: F32) -> F32:
+    """Return float32 coefficients (verts, rows, coeffs) of 16-bit ones and their scale."""
+    coefficients: F32 = values.astype(np.float32)
+    coefficients *= scale[:, :, None]
+    return coefficients
+
+
 class TransferFile:
     """An open transfer file: header at once, coefficients in slices."""
 
@@ -145,11 +152,12 @@ class TransferFile:
 
         Shape (verts, rows, coeffs).  Raises CorruptArtefact where a checksum fails.
         """
+        return unpacked(*self.read_packed(part, start, stop))
+
+    def read_packed(self, part: int, start: int = 0, stop: int | None = None) -> tuple[I16, F32]:
+        """Return the same as it is stored: int16 (verts, rows, coeffs), and its scale."""
         values = h5.read(self._groups[part]["coefficients"], slice(start, stop))
-        scale = h5.read(self._groups[part]["scale"], slice(start, stop))
-        coefficients: F32 = values.astype(np.float32)
-        coefficients *= scale[:, :, None]
-        return coefficients
+        return values, h5.read(self._groups[part]["scale"], slice(start, stop))
 
     def energies(self, part: int) -> Energies:
         """Return the squared radiance norms a vertex."""

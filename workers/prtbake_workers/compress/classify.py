@@ -12,28 +12,37 @@ The product proposes; the residual itself decides, and the vertex moves only whe
 falls.  So neither rounding nor cancellation near zero error moves a vertex.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from prtbake_workers.arrays import B8, F32, F64, I32, I64, Float32, Float64, Int32
+from prtbake_workers.arrays import B8, F32, F64, I32, Float32, Float64, Int32
 from prtbake_workers.compress.cluster_factors import ClusterFactors, squared_residuals
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.parallel import map_in_order
+from prtbake_workers.compress.rows import Rows
 
-View = Float32[F32, "verts r_view coeffs"]
 # Relative rounding of the float32 bound: two products and a sum of squares, 1e-6 at the worst.
 BOUND_SLACK = 1e-5
 # Vertices that try the union of their possible clusters together.  Fewer try less in vain, 14 % of
 # all pairs at the papers' settings where 7 % are possible; more keep the products efficient.
 BLOCK_VERTS = 64
 
-Pays = Callable[[I64, int, F64], B8]
+Pays = Callable[[I32, int, F64], B8]
 """From vertices, a cluster and their squared residuals there to whether they may move."""
 
 
+class Moves(NamedTuple):
+    """Vertices of one cluster that leave it, where they go, and their squared residuals there."""
+
+    verts: Int32[I32, " movers"]
+    labels: Int32[I32, " movers"]
+    errors: Float64[F64, " movers"]
+
+
 def reclassify(
-    z: View,
+    z: Rows,
     factors: Sequence[ClusterFactors],
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
@@ -44,51 +53,82 @@ def reclassify(
     Parameters
     ----------
     z, factors
-        Z_view of all vertices and the bases of all clusters.
+        Z_view of all vertices, (verts, r_view, coeffs), and the bases of all clusters.
     labels, errors
         The present cluster of each vertex and its squared residual there; both are changed in
         place for the vertices that move.
     pays
         Tells whether vertices may move to a cluster where their residual is lower; None lets all.
     """
-    proposed = propose_clusters(z, factors, labels, errors)
-    candidates = np.flatnonzero(proposed != labels)
-    groups = members_by_cluster(proposed[candidates], len(factors))
-
-    def confirm(cluster: int) -> int:
-        verts = candidates[groups[cluster]]
-        residuals = squared_residuals(z[verts], factors[cluster])
-        better = residuals < errors[verts]
-        if pays is not None:
-            better &= pays(verts, cluster, residuals)
-        movers = verts[better]
-        labels[movers] = cluster
-        errors[movers] = residuals[better]
-        return len(movers)
-
-    return sum(map_in_order(confirm, range(len(factors))))
+    moves = better_clusters(z, factors, labels, errors, range(len(factors)), pays)
+    return take_moves(moves, labels, errors)
 
 
-def propose_clusters(
-    z: View,
+def better_clusters(
+    z: Rows,
     factors: Sequence[ClusterFactors],
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
+    clusters: Iterable[int],
+    pays: Pays | None = None,
+) -> list[Moves]:
+    """Return who leaves each of ``clusters``, by what `reclassify` takes; nobody moves yet.
+
+    A cluster's movers depend on no other's, bit by bit: products are of its own vertices alone.
+    """
+    clusters = list(clusters)
+    proposed = propose_clusters(z, factors, labels, errors, clusters)
+    members = members_by_cluster(labels, len(factors))
+
+    def confirm(cluster: int) -> Moves:
+        verts = members[cluster]
+        verts = verts[proposed[verts] != cluster]
+        targets, residuals = proposed[verts], np.empty(len(verts))
+        better = np.zeros(len(verts), dtype=np.bool_)
+        for target in np.unique(targets).tolist():
+            tried = np.flatnonzero(targets == target)
+            own = verts[tried]
+            residuals[tried] = squared_residuals(z[own], factors[target])
+            better[tried] = residuals[tried] < errors[own]
+            if pays is not None:
+                better[tried] &= pays(own, target, residuals[tried])
+        return Moves(verts[better], targets[better], residuals[better])
+
+    return map_in_order(confirm, clusters)
+
+
+def take_moves(
+    moves: Iterable[Moves], labels: Int32[I32, " verts"], errors: Float64[F64, " verts"]
+) -> int:
+    """Change labels and errors of those who move, in place; return how many there are."""
+    n_moved = 0
+    for verts, targets, residuals in moves:
+        labels[verts], errors[verts] = targets, residuals
+        n_moved += len(verts)
+    return n_moved
+
+
+def propose_clusters(
+    z: Rows,
+    factors: Sequence[ClusterFactors],
+    labels: Int32[I32, " verts"],
+    errors: Float64[F64, " verts"],
+    clusters: Iterable[int] | None = None,
 ) -> Int32[I32, " verts"]:
     """Return the cluster with the least error for each vertex, to float32.
 
-    The present one stays where no other is better.
+    The present one stays where no other is better, and where it is none of ``clusters`` (all when
+    None).
     """
     bases = stacked_bases(factors, z.shape[1])
     n_clusters, r_vert, _ = bases.shape
     stacked = bases.reshape(n_clusters * r_vert, -1)
     members = members_by_cluster(labels, n_clusters)
-    rows = z.reshape(len(z), -1)
     proposed = labels.copy()
 
     def propose(cluster: int) -> None:
         verts = members[cluster]
-        part = rows[verts]
+        part = z[verts].reshape(len(verts), bases.shape[2])
         own = part @ bases[cluster].T
         captured = _energy(own[:, None])
         overlaps = bases[cluster] @ stacked.T
@@ -110,7 +150,7 @@ def propose_clusters(
                 best_captured[better] = score[better]
             proposed[verts[block]] = best
 
-    map_in_order(propose, range(n_clusters))
+    map_in_order(propose, range(n_clusters) if clusters is None else clusters)
     return proposed
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from prtbake_workers.arrays import B8, F32, F64, I32, Bool, Float32, Float64, Int32
 from prtbake_workers.compress.energy import row_chunks, row_energy
+from prtbake_workers.compress.rows import Rows
 
 SPLIT_ITERATIONS = 3
 # Rows are summed in pieces that stay in the cache, so that each is fetched from memory once.
@@ -66,7 +67,7 @@ def split_in_two(
 
 
 def refill_empty_clusters(
-    signal: Float32[F32, "verts dims"],
+    signal: Rows,
     labels: Int32[I32, " verts"],
     errors: Float64[F64, " verts"],
     weights: Float64[F64, " verts"],
@@ -79,7 +80,7 @@ def refill_empty_clusters(
     Parameters
     ----------
     signal, weights
-        One row a vertex, and the vertices' weights.
+        One (dims,) row a vertex, and the vertices' weights.
     labels
         Cluster of each vertex; changed in place for those that leave a donor.
     errors

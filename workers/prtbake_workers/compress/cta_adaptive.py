@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from prtbake_storage.errors import SettingsError
@@ -28,11 +27,12 @@ from prtbake_workers.compress.cluster_factors import (
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.cta_model import CtaModel, CtaRanks, padded
 from prtbake_workers.compress.gram_eigh import leading_row_space
-from prtbake_workers.compress.inputs import checked_signal, checked_vertex_weights
+from prtbake_workers.compress.inputs import checked_rows, checked_vertex_weights
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 from prtbake_workers.compress.progress import Progress, no_progress
+from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.tensor_ranks import RankChoices, allocate_tensor_ranks, rank_choices
-from prtbake_workers.compress.view_basis import project_view
+from prtbake_workers.compress.view_basis import ProjectedRows, project_view
 from prtbake_workers.deadline import time_for
 
 MOST_OVER_BEFORE = 2
@@ -45,7 +45,7 @@ SWEEPS = 2
 
 def with_own_ranks(
     model: CtaModel,
-    transfer: Float[NDArray[Any], "verts rows coeffs"],
+    transfer: NDArray[Any] | Rows,
     *,
     vertex_weights: NDArray[Any] | None = None,
     progress: Progress = no_progress,
@@ -55,7 +55,7 @@ def with_own_ranks(
     Parameters
     ----------
     model, transfer
-        The model, and the float32 tensor that it was made from.
+        The model, and the float32 tensor (verts, rows, coeffs) that it was made from.
     vertex_weights
         Those that the model was made with; ones when None.
     progress
@@ -74,7 +74,7 @@ def with_own_ranks(
     SettingsError
         For a tensor that the model is not of.
     """
-    t = checked_signal(transfer, "transfer", ("verts", "rows", "coeffs"))
+    t = checked_rows(transfer, "transfer", ("verts", "rows", "coeffs"))
     weights = checked_vertex_weights(vertex_weights, len(t))
     if len(t) != len(model.labels):
         raise SettingsError(
@@ -132,14 +132,13 @@ def _seconds_of(tensor: "_Tensor", verts: I32) -> float:
 class _Tensor:
     """What all clusters are fitted to: Z_view, weights, and the storage there is."""
 
-    def __init__(self, model: CtaModel, t: F32, weights: F64) -> None:
-        n_verts, _, n_coeffs = t.shape
-        self.n_channels, (n_terms, self.r_view) = model.n_channels, model.view_basis.shape
-        z = np.empty((n_verts * self.n_channels, self.r_view, n_coeffs), np.float32)
-        by_channel = t.reshape(len(z), n_terms, n_coeffs)
-        left = project_view(by_channel, model.view_basis, z)
-        self.view_errors: F64 = left.reshape(n_verts, self.n_channels).sum(axis=1)
-        self.z: F32 = z.reshape(n_verts, -1, n_coeffs)
+    def __init__(self, model: CtaModel, t: Rows, weights: F64) -> None:
+        n_coeffs = t.shape[2]
+        self.n_channels, self.r_view = model.n_channels, model.view_basis.shape[1]
+        read = ProjectedRows(t, model.view_basis, self.n_channels)
+        held = np.empty(read.shape, np.float32) if isinstance(t, np.ndarray) else None
+        self.view_errors: F64 = project_view(t, model.view_basis, held, self.n_channels)
+        self.z: Rows = read if held is None else held
         self.weights, self.roots = weights, np.sqrt(weights)
         self.budget = model.nbytes / 4 - model.view_basis.size
         self.most_light = min(n_coeffs, MOST_OVER_BEFORE * model.light_bases.shape[2])

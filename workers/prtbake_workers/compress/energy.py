@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
+from prtbake_workers.compress.rows import Rows
 
 # Rows are walked in pieces of about this size: small beside the data, large beside the cache.
 CHUNK_BYTES = 32 << 20
@@ -13,7 +14,7 @@ CHUNK_BYTES = 32 << 20
 RUN_LENGTH = 128
 
 
-def row_chunks(rows: F32, chunk_bytes: int = CHUNK_BYTES) -> Iterator[slice]:
+def row_chunks(rows: Rows, chunk_bytes: int = CHUNK_BYTES) -> Iterator[slice]:
     """Yield slices that cover the first axis of ``rows``, each of about ``chunk_bytes``."""
     n_rows = len(rows)
     bytes_per_row = max(1, rows.nbytes // max(1, n_rows))
@@ -32,6 +33,6 @@ def row_energy(rows: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
     return np.asarray(energy + np.einsum("vj,vj->v", rest, rest), dtype=np.float64)
 
 
-def row_energy_by_chunks(signal: Float32[F32, "verts dims"]) -> Float64[F64, " verts"]:
-    """Return the squared norm of each row, without a copy of the whole signal."""
+def row_energy_by_chunks(signal: Rows) -> Float64[F64, " verts"]:
+    """Return the squared norm of each (dims,) row, without a copy of the whole signal."""
     return np.concatenate([row_energy(signal[chunk]) for chunk in row_chunks(signal)])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64
 from prtbake_workers.compress.energy import row_chunks
+from prtbake_workers.compress.rows import Rows, flat
 
 # Squares are taken in float32: beyond these magnitudes they overflow, or vanish altogether.
 LARGEST_MAGNITUDE = 1e12
@@ -32,10 +33,25 @@ def checked_signal(signal: NDArray[Any], name: str, axes: tuple[str, ...]) -> F3
         Wrong type, number of axes, or magnitude; an axis of length 0; a value that is not finite,
         named by its vertex.
     """
-    pointer = f"/{name}"
     if signal.dtype != np.float32:
-        raise SettingsError(f"{name} must be float32, not {signal.dtype}", pointer=pointer)
-    if signal.ndim != len(axes):
+        raise SettingsError(f"{name} must be float32, not {signal.dtype}", pointer=f"/{name}")
+    signal = np.ascontiguousarray(signal) if signal.ndim else signal
+    _check_rows(signal, name, axes)
+    return signal
+
+
+def checked_rows(rows: Rows, name: str, axes: tuple[str, ...]) -> Rows:
+    """Return rows that may lie outside of memory, or refuse them as `checked_signal` does."""
+    if isinstance(rows, np.ndarray):
+        return checked_signal(rows, name, axes)
+    _check_rows(rows, name, axes)
+    return rows
+
+
+def _check_rows(signal: Rows, name: str, axes: tuple[str, ...]) -> None:
+    """Refuse rows of the wrong shape, of values that are not finite, too large or too small."""
+    pointer = f"/{name}"
+    if len(signal.shape) != len(axes):
         raise SettingsError(
             f"{name} must have the axes ({', '.join(axes)}), not the shape {signal.shape}",
             pointer=pointer,
@@ -43,15 +59,15 @@ def checked_signal(signal: NDArray[Any], name: str, axes: tuple[str, ...]) -> F3
     if 0 in signal.shape:
         empty = axes[signal.shape.index(0)]
         raise SettingsError(f"{name} has no {empty}: shape {signal.shape}", pointer=pointer)
-    signal = np.ascontiguousarray(signal)
-    rows = signal.reshape(len(signal), -1)
     largest = 0.0
+    rows = flat(signal)
     for chunk in row_chunks(rows):
-        peaks = np.maximum(rows[chunk].max(axis=1), -rows[chunk].min(axis=1))
+        part = rows[chunk]
+        peaks = np.maximum(part.max(axis=1), -part.min(axis=1))
         bad = np.flatnonzero(~np.isfinite(peaks))
         if len(bad):
-            vertex = chunk.start + int(bad[0])
-            element = int(np.flatnonzero(~np.isfinite(rows[vertex]))[0])
+            vertex, row = chunk.start + int(bad[0]), part[bad[0]]
+            element = int(np.flatnonzero(~np.isfinite(row))[0])
             where = ", ".join(
                 f"{axis} {int(i)}"
                 for axis, i in zip(
@@ -59,7 +75,7 @@ def checked_signal(signal: NDArray[Any], name: str, axes: tuple[str, ...]) -> F3
                 )
             )
             raise SettingsError(
-                f"{name} is {rows[vertex, element]} at vertex {vertex} ({where})", pointer=pointer
+                f"{name} is {row[element]} at vertex {vertex} ({where})", pointer=pointer
             )
         largest = max(largest, float(peaks.max()))
     if largest > LARGEST_MAGNITUDE or 0.0 < largest < SMALLEST_MAGNITUDE:
@@ -68,7 +84,6 @@ def checked_signal(signal: NDArray[Any], name: str, axes: tuple[str, ...]) -> F3
             f"{SMALLEST_MAGNITUDE:g} and {LARGEST_MAGNITUDE:g}",
             pointer=pointer,
         )
-    return signal
 
 
 def checked_vertex_weights(vertex_weights: NDArray[Any] | None, n_verts: int) -> F64:

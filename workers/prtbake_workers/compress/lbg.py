@@ -22,6 +22,7 @@ from prtbake_workers.compress.moving_means import MovingMeans
 from prtbake_workers.compress.nearest_means import NearestMeans, centred_means
 from prtbake_workers.compress.parallel import map_in_order
 from prtbake_workers.compress.progress import Progress, no_progress
+from prtbake_workers.compress.rows import Rows
 
 # Seeds are drawn from this many vertices a cluster: enough to meet every region of the signal,
 # and few enough that seeding costs less than one iteration.
@@ -77,7 +78,7 @@ class LbgResult(NamedTuple):
 
 
 def lbg(
-    signal: Float32[F32, "verts dims"],
+    signal: Rows,
     n_clusters: int,
     *,
     rng: np.random.Generator,
@@ -94,7 +95,7 @@ def lbg(
     Parameters
     ----------
     signal
-        One row a vertex.
+        (verts, dims), one row a vertex.
     n_clusters
         Clusters wanted, 1 to the number of vertices; some stay empty only where the signal has
         fewer distinct rows.
@@ -146,7 +147,7 @@ def lbg(
             state.squared_distances[state.labels == cluster] = np.inf
         moving.update(state.labels, state.means, state.squared_distances)
         if improve is not None:
-            n_moved += improve(signal, state, weights)
+            n_moved += improve(signal[:], state, weights)
         trace.append(float(weights @ state.squared_distances))
         progress((iteration + 1) / max_iterations, f"clustering, error {trace.ratio:.3%}")
         if n_moved == 0 or trace.has_converged(tolerance) or not trace.has_time():
@@ -155,16 +156,18 @@ def lbg(
 
 
 def _means_in_box(
-    signal: Float32[F32, "verts dims"], n_clusters: int, rng: np.random.Generator
+    signal: Rows, n_clusters: int, rng: np.random.Generator
 ) -> Float32[F32, "clusters dims"]:
     """Draw points evenly from the smallest box that holds every row."""
-    lowest, highest = signal.min(axis=0), signal.max(axis=0)
+    parts = (signal[chunk] for chunk in row_chunks(signal))
+    ends = np.array([(part.min(axis=0), part.max(axis=0)) for part in parts])
+    lowest, highest = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     share = rng.random((n_clusters, signal.shape[1]), dtype=np.float32)
     return np.asarray(lowest + share * (highest - lowest), dtype=np.float32)
 
 
 def _seed_means(
-    signal: Float32[F32, "verts dims"],
+    signal: Rows,
     n_clusters: int,
     rng: np.random.Generator,
     weights: Float64[F64, " verts"],
@@ -202,9 +205,7 @@ def _seed_means(
     return signal[sample[chosen]]
 
 
-def _classify_coherently(
-    signal: Float32[F32, "verts dims"], state: Clustering, coherence: Coherence, unit: float
-) -> int:
+def _classify_coherently(signal: Rows, state: Clustering, coherence: Coherence, unit: float) -> int:
     """Move each vertex to the cluster that costs it least, near in signal and on the mesh."""
     offset = state.means.mean(axis=0, dtype=np.float64).astype(np.float32)
     centred, constant, _ = centred_means(state.means, offset)

@@ -24,9 +24,10 @@ from prtbake_workers.compress.cpca_model import CpcaModel
 from prtbake_workers.compress.cta_model import CtaModel, unpadded
 from prtbake_workers.compress.energy import row_energy
 from prtbake_workers.compress.gram_eigh import leading_row_space
-from prtbake_workers.compress.inputs import checked_signal, checked_vertex_weights
+from prtbake_workers.compress.inputs import checked_rows, checked_signal, checked_vertex_weights
 from prtbake_workers.compress.parallel import map_in_order, same_bytes_on_any_threads
 from prtbake_workers.compress.reclassify_overdraw import BUDGET, reclassify_for_overdraw
+from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.view_basis import project_view
 
 ROUNDS = 4
@@ -174,7 +175,7 @@ class _CpcaState:
 
 def less_overdraw_cta(
     model: CtaModel,
-    transfer: Float[NDArray[Any], "verts rows coeffs"],
+    transfer: NDArray[Any] | Rows,
     faces: Int32[I32, "tris 3"],
     *,
     budget: float = BUDGET,
@@ -183,22 +184,18 @@ def less_overdraw_cta(
     """Move vertices of a tensor approximation to neighbouring clusters, whose bases stay.
 
     Parameters, return value and errors are as of `less_overdraw_cpca`, with the tensor that the
-    model was made from.
+    model was made from, (verts, rows, coeffs).
     """
-    t = checked_signal(transfer, "transfer", ("verts", "rows", "coeffs"))
+    t = checked_rows(transfer, "transfer", ("verts", "rows", "coeffs"))
     weights = checked_vertex_weights(vertex_weights, len(t))
     _check(budget, len(t), len(model.labels))
-    n_terms, r_view = model.view_basis.shape
-    n_coeffs = t.shape[2]
+    n_rows, n_coeffs = model.n_channels * model.view_basis.shape[1], t.shape[2]
     factors = unpadded(model)
 
     def in_view(verts: NDArray[Any]) -> tuple[F32, F64]:
         """Give Z_view of vertices, and what the view basis leaves of them."""
-        rows = t[verts].reshape(len(verts) * model.n_channels, n_terms, n_coeffs)
-        z = np.empty((len(rows), r_view, n_coeffs), np.float32)
-        left = project_view(rows, model.view_basis, z)
-        whole = z.reshape(len(verts), model.n_channels * r_view, n_coeffs)
-        return whole, left.reshape(len(verts), model.n_channels).sum(axis=1)
+        z = np.empty((len(verts), n_rows, n_coeffs), np.float32)
+        return z, project_view(t[verts], model.view_basis, z, model.n_channels)
 
     def errors_in(cluster: int, verts: I64) -> F64:
         z, left = in_view(verts)

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64, Int32
+from prtbake_workers.arrays import F32, F64, I32, Float64, Int32
 from prtbake_workers.compress.coherence import Coherence
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cpca_model import CpcaModel
@@ -23,6 +23,7 @@ from prtbake_workers.compress.cta_model import CtaModel, CtaRanks
 from prtbake_workers.compress.less_overdraw import less_overdraw_cpca, less_overdraw_cta
 from prtbake_workers.compress.pca import Principal
 from prtbake_workers.compress.progress import Progress, no_progress
+from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.vq import compress_vq
 
 
@@ -149,12 +150,10 @@ class Compressed:
     factors: Mapping[str, NDArray[Any]] = field(repr=False)
 
 
-Compressor = Callable[[Float32[F32, "verts rows coeffs"], Sizes, Fit], CpcaModel | CtaModel]
+Compressor = Callable[[Rows, Sizes, Fit], CpcaModel | CtaModel]
 
 
-def compress(
-    method: str, coefficients: Float32[F32, "verts rows coeffs"], sizes: Sizes, fit: Fit
-) -> Compressed:
+def compress(method: str, coefficients: Rows, sizes: Sizes, fit: Fit) -> Compressed:
     """Compress the transfer of one part.
 
     Parameters
@@ -162,8 +161,9 @@ def compress(
     method
         One of `METHODS`.
     coefficients
-        float32 transfer in an orthonormal basis of the light; row c * terms + k of a vertex is term
-        k of channel c, and terms are orthonormal functions of the view.
+        (verts, rows, coeffs) float32 transfer in an orthonormal basis of the light; row c * terms +
+        k of a vertex is term k of channel c, and terms are orthonormal functions of the view.  It
+        may lie outside of memory, but what knows signals only reads it whole.
     sizes, fit
         What may be kept, and how it is found.
 
@@ -176,7 +176,7 @@ def compress(
     return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
 
 
-def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+def _vq(coefficients: Rows, sizes: Sizes, fit: Fit) -> CpcaModel:
     return compress_vq(
         _signal(coefficients),
         sizes.n_clusters,
@@ -190,12 +190,12 @@ def _vq(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
     )
 
 
-def _pca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+def _pca(coefficients: Rows, sizes: Sizes, fit: Fit) -> CpcaModel:
     principal = fit.principal or Principal(_signal(coefficients), fit.vertex_weights)
     return principal.model(sizes.n_components, seed=fit.seed, progress=fit.progress)
 
 
-def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
+def _cpca(coefficients: Rows, sizes: Sizes, fit: Fit) -> CpcaModel:
     return compress_cpca(
         _signal(coefficients),
         sizes.n_clusters,
@@ -209,7 +209,7 @@ def _cpca(coefficients: F32, sizes: Sizes, fit: Fit) -> CpcaModel:
     )
 
 
-def _cta(coefficients: F32, sizes: Sizes, fit: Fit) -> CtaModel:
+def _cta(coefficients: Rows, sizes: Sizes, fit: Fit) -> CtaModel:
     adaptive = fit.classification == "adaptive"
     share = EVEN_SHARE if adaptive else 1.0
     model = compress_cta(
@@ -240,12 +240,12 @@ METHODS: Mapping[str, Compressor] = {"vq": _vq, "pca": _pca, "cpca": _cpca, "cta
 """Vector quantisation, principal components, those of clusters, and tensors of clusters."""
 
 
-def _signal(coefficients: F32) -> F32:
-    """Return the matrix of each vertex as one row."""
-    return coefficients.reshape(len(coefficients), -1)
+def _signal(coefficients: Rows) -> F32:
+    """Return the matrix of each vertex as one row, all of them in memory."""
+    return coefficients[:].reshape(len(coefficients), -1)
 
 
-def _drawn_less(model: CpcaModel | CtaModel, coefficients: F32, fit: Fit) -> CpcaModel | CtaModel:
+def _drawn_less(model: CpcaModel | CtaModel, coefficients: Rows, fit: Fit) -> CpcaModel | CtaModel:
     """Spend the budget of overdraw, where there is one."""
     if fit.overdraw_budget is None or fit.faces is None:
         return model

@@ -9,6 +9,7 @@ from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32
 from prtbake_workers.compress.clusters import members_by_cluster, weighted_mean
 from prtbake_workers.compress.energy import row_chunks, row_energy
 from prtbake_workers.compress.parallel import map_in_order
+from prtbake_workers.compress.rows import Rows
 
 CHUNK_BYTES = 8 << 20
 """Of signal in one piece of work."""
@@ -29,7 +30,7 @@ class MovingMeans:
 
     def __init__(
         self,
-        signal: Float32[F32, "verts dims"],
+        signal: Rows,
         weights: Float64[F64, " verts"],
         energy: Float64[F64, " verts"],
         n_clusters: int,

@@ -14,6 +14,7 @@ import numpy as np
 from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32
 from prtbake_workers.compress.energy import row_chunks, row_energy
 from prtbake_workers.compress.parallel import map_in_order
+from prtbake_workers.compress.rows import Rows
 
 CHUNK_BYTES = 8 << 20
 """Of signal at a time: its distances stay in the cache until they have become bounds."""
@@ -52,7 +53,7 @@ class NearestMeans:
 
     def __init__(
         self,
-        signal: Float32[F32, "verts dims"],
+        signal: Rows,
         means: Float32[F32, "clusters dims"],
         energy: Float64[F64, " verts"],
     ) -> None:
@@ -144,9 +145,7 @@ class NearestMeans:
         self._bounds[chunk][active] = ranked
 
 
-def row_energy_about(
-    signal: Float32[F32, "verts dims"], origin: Float32[F32, " dims"]
-) -> Float64[F64, " verts"]:
+def row_energy_about(signal: Rows, origin: Float32[F32, " dims"]) -> Float64[F64, " verts"]:
     """Return the squared distance of each row to one point."""
     return np.concatenate(
         [row_energy(signal[chunk] - origin) for chunk in row_chunks(signal, CHUNK_BYTES)]

@@ -15,10 +15,10 @@ import numpy as np
 
 from prtbake_storage.contract.settings import MOST_CLUSTERS
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.arrays import F32, Float32
 from prtbake_workers.compress.inputs import checked_vertex_weights
 from prtbake_workers.compress.methods import Compressed, Fit, Sizes, compress, factors_of
 from prtbake_workers.compress.pca import Principal
+from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.trim import trimmed
 from prtbake_workers.compress.view_basis import view_energies
 from prtbake_workers.deadline import time_for
@@ -68,7 +68,7 @@ class Scaled:
 
 def compress_to_error(
     method: str,
-    coefficients: Float32[F32, "verts rows coeffs"],
+    coefficients: Rows,
     sizes: Sizes,
     fit: Fit,
     target: float,
@@ -118,7 +118,7 @@ def compress_to_error(
     if method != "vq":  # a trial of vector quantisation is as quick with all of its iterations
         trial = replace(fit, max_iterations=min(fit.max_iterations, TRIAL_ITERATIONS))
     if method == "pca":
-        signal = coefficients.reshape(len(coefficients), -1)
+        signal = coefficients[:].reshape(len(coefficients), -1)
         trial = fit = replace(fit, principal=Principal(signal, fit.vertex_weights))
     ratios: list[float] = []
     held: tuple[Scaled, Compressed] | None = None
@@ -163,13 +163,11 @@ def compress_to_error(
 
 
 def _view_first(
-    coefficients: F32, ranks: tuple[int, int, int], fit: Fit, target: float
+    coefficients: Rows, ranks: tuple[int, int, int], fit: Fit, target: float
 ) -> tuple[int, int, int]:
     """Choose the view rank by what it leaves; the others start from the ladder's."""
-    n_verts, n_rows, n_coeffs = coefficients.shape
-    weights = np.repeat(checked_vertex_weights(fit.vertex_weights, n_verts), fit.n_channels)
-    terms = coefficients.reshape(n_verts * fit.n_channels, n_rows // fit.n_channels, n_coeffs)
-    energies = view_energies(terms, weights)
+    weights = checked_vertex_weights(fit.vertex_weights, len(coefficients))
+    energies = view_energies(coefficients, weights, fit.n_channels)
     left = energies.sum() - np.cumsum(energies)
     view = int(np.argmax(left <= VIEW_SHARE * target * energies.sum())) + 1
     return view, ranks[1], ranks[2]

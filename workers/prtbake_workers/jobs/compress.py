@@ -17,11 +17,12 @@ from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_tra
 from prtbake_storage.hdf5.writer import write_asset
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.arrays import F32, F64, I32
+from prtbake_workers.arrays import F64, I32
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
 from prtbake_workers.compress.coherence import coherence_of
 from prtbake_workers.compress.methods import Fit, compress
+from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.superclusters import (
     check_registers,
     make_superclusters,
@@ -33,8 +34,9 @@ from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
 from prtbake_workers.jobs.rounding import options
+from prtbake_workers.jobs.rows_file import write_rows
 from prtbake_workers.jobs.sized import check_bytes, write_sized
-from prtbake_workers.planning.cost import factor_floats
+from prtbake_workers.planning.cost import HELD_BYTES, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
 from prtbake_workers.planning.registers import check_planned_registers
@@ -220,11 +222,18 @@ def spectrum_of(part: TransferPart) -> F64 | None:
     return None if values is None else np.asarray(values, np.float64)
 
 
-def read_coefficients(path: Path, part: int) -> tuple[TransferPart, F32]:
-    """Read all whitened coefficients of a part as float32 (verts, rows, coeffs)."""
+def read_coefficients(
+    path: Path, part: int, scratch: Path | None = None
+) -> tuple[TransferPart, Rows]:
+    """Read the whitened coefficients of a part as float32 (verts, rows, coeffs).
+
+    Given a folder, those that take more than `HELD_BYTES` are unpacked into a file there.
+    """
     with open_transfer(path) as transfer:
         own = transfer.header.parts[part]
         n_coeffs = transfer.header.basis.n_coeffs
+        if scratch is not None and 4 * own.n_vertices * own.n_rows * n_coeffs > HELD_BYTES:
+            return own, write_rows(scratch / f"part-{part}.rows", transfer, part)
         coefficients = np.zeros((own.n_vertices, own.n_rows, n_coeffs), np.float32)
         for start in range(0, own.n_vertices, READ_VERTS):
             stop = min(start + READ_VERTS, own.n_vertices)
@@ -244,7 +253,11 @@ def read_mesh(path: Path, part: TransferPart) -> tuple[F64, I32]:
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     began = time.monotonic()
-    part, coefficients = read_coefficients(context.store.local_path(args["transfer"]), args["part"])
+    part, coefficients = read_coefficients(
+        context.store.local_path(args["transfer"]),
+        args["part"],
+        context.scratch if args["compression"]["method"] == "cta" else None,
+    )
     compression, deadline = planned_fit(args, context, time.monotonic() - began)
     draws = args.get("draws") or {}
     positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)

@@ -36,6 +36,11 @@ THREADS = 2
 """Of compression, as settings have it unless they say otherwise."""
 ROW_CHUNK_BYTES = 10_000_000
 """Of rows that a thread of compression works on at once."""
+HELD_BYTES = 1 << 30
+"""Of a part's float32 coefficients, up to which a tensor approximation holds them in memory."""
+READ_CHUNK_BYTES = 200_000_000
+"""Of chunks that a thread reads where they are not held: 32 MiB of view rows, what these are
+projected from, and copies."""
 WORKSPACE_BYTES = 60_000_000
 """Of trials, where they hold little else."""
 
@@ -170,6 +175,10 @@ def part_cost(
         seen = n_verts * n_channels * view * n_coeffs
         # rows are projected and compared a chunk at a time, by each thread
         memory = 6 * values + 14 * seen + THREADS * min(4 * seen, ROW_CHUNK_BYTES)
+        if 4 * values > HELD_BYTES:
+            row = 6 * n_channels * n_terms * n_coeffs + 8 * n_channels * view * n_coeffs
+            memory = 4 * n_verts * n_channels * n_terms
+            memory += THREADS * max(READ_CHUNK_BYTES, members * row)
         memory += THREADS * _decomposition_bytes(members, n_channels * view * light)
     else:
         # a vertex's matrix is one signal, of which a cluster keeps its mean and components
