@@ -12,17 +12,21 @@ import pytest
 
 from prtbake import Client, ServiceUnreachable
 from prtbake.config import read_key
-from prtbake_storage.contract.jobs import job_request_adapter
+from prtbake_storage.contract.jobs import JobState, job_request_adapter
 from prtbake_storage.records import Events, NewJob
 from support.deployment import (
+    PATIENCE_S,
     Installation,
     free_port,
     until,
 )
 from support.disturbance import leaves_nothing_when_canceled, survives_a_kill
-from support.main_job import HEAVY_BAKE, Finished, main_request
+from support.main_job import GLOSSY, HEAVY_BAKE, Finished, main_request
 
 pytestmark = pytest.mark.acceptance
+
+COMPRESS = 1
+"""Where the fit stands among the stages of a compression."""
 
 # a service that is killed by its own first word to the engine: after the row's commit, before the
 # engine's
@@ -39,6 +43,48 @@ def test_kill_9_in_the_middle_of_the_bake(
     installation: Installation, undisturbed: Finished
 ) -> None:
     survives_a_kill(installation, main_request(installation), undisturbed.job)
+
+
+def test_kill_9_in_the_middle_of_shared_steps(installation: Installation) -> None:
+    """Steps of a compression shared by three tasks leave the file of one, whoever dies."""
+    client = installation.client
+    bake = {"cube_resolution": 8, "n_centres": 42, "n_terms": 8}
+    baked = client.submit(
+        {"kind": "bake", "mesh": installation.mesh, "brdf": GLOSSY, "settings": bake}
+    )
+    assert client.wait(baked.id, timeout_s=PATIENCE_S).state is JobState.succeeded
+    settings = {"max_iterations": 3, "n_clusters": 6, "ranks": [4, 12, 8]}
+
+    def submit(step_tasks: int) -> str:
+        return client.submit(
+            {
+                "kind": "compress",
+                "transfer": f"{baked.id}/transfer.h5",
+                "settings": settings | {"step_tasks": step_tasks},
+            }
+        ).id
+
+    whole, shared = submit(1), submit(3)
+    # a start, then rounds of three
+    until(lambda: (COMPRESS, 5) in installation.starts(shared), "the third round", PATIENCE_S)
+    victim = installation.workers()[installation.log(shared, "task.started")[-1]["worker"]]
+    victim.kill()
+    files = [
+        {artefact.name: artefact.sha256 for artefact in client.wait(job).artefacts}
+        for job in (whole, shared)
+    ]
+    for name in ("asset.h5", "asset-float32.h5"):
+        assert files[0][name] == files[1][name], name
+    started = {position for stage, position in installation.starts(shared) if stage == COMPRESS}
+    # model step, classification, view basis and last bases at least, and the finish
+    assert started == set(range(max(started) + 1))
+    assert max(started) >= 3 * 4 + 1
+    assert {at for at in installation.starts(whole) if at[0] == COMPRESS} == {(COMPRESS, 0)}
+    progress = [event.data for event in client.events(shared) if event.type == "progress"]
+    fractions = [one["fraction"] for one in progress]
+    assert fractions == sorted(fractions)
+    assert any(one["unit"] == "rounds" for one in progress)
+    until(lambda: len(installation.workers()) == 2, "a worker in the victim's place")
 
 
 def test_cancel_in_the_middle_frees_the_cpu_and_leaves_nothing(

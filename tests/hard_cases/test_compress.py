@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.compress import cta
+from prtbake_workers.compress import cta_fit
 from prtbake_workers.compress.clusters import refill_empty_clusters
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
@@ -243,7 +243,7 @@ def test_clusters_that_run_empty_are_filled_again(seed, monkeypatch):
         filled.extend(found)
         return found
 
-    monkeypatch.setattr(cta, "refill_empty_clusters", watched)
+    monkeypatch.setattr(cta_fit, "refill_empty_clusters", watched)
     model = _compress(
         "cta", (families * factor + noise).astype(np.float32), 16, ranks=CtaRanks(4, 6, 1)
     )

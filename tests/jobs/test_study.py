@@ -12,7 +12,7 @@ from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
-from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_storage.queue.stages import Measured, Results, Rounds, Stage, Task
 from prtbake_workers.jobs import study_estimate
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import KINDS, REGISTRY
@@ -335,6 +335,40 @@ def toy(start, *, third=False):
 
     stages = [Stage("first", "n", 1.0, first), Stage("second", "n", 1.0, second)]
     return [*stages, Stage("third", "n", 1.0, lambda _: [])] if third else stages
+
+
+def counting(to, *, step=1):
+    """A stage that repeats: a round a number up to ``to``, then one that looks at the last."""
+
+    def count(results):
+        done = results.rounds("count")
+        return [Task("m:f", {"n": len(done) * step})] if len(done) < to else []
+
+    def last(results):
+        return [Task("m:g", {"n": results["count"][0]["n"]})]
+
+    rounds = Rounds(lambda _: to, lambda results: results.rounds("count")[-1].values)
+    return [Stage("count", "n", 1.0, count, rounds), Stage("last", "n", 1.0, last)]
+
+
+def test_jobs_repeat_a_stage_as_often_as_each_needs():
+    jobs = [counting(2), counting(4), counting(3, step=10)]
+    shared = SharedStages(jobs, list("abc"), skip_refused=False)
+    count, last = shared.stages()
+    results, asked = Results(), []
+    assert count.rounds.most(results) == 4
+    for tasks in count.lists(results):
+        asked.append([task.args["n"] for task in tasks])
+        costs = [Measured(float(task.args["n"]), 1) for task in tasks]
+        results.add_round("count", [task.args for task in tasks], costs)
+    # the first two have rounds in common, which are run once
+    assert asked == [[0], [1, 10], [2, 20], [3]]
+    assert [task.args["n"] for task in last.tasks(results)] == [1, 3, 20]
+    shares = shared.shares(results)
+    for share, numbers in zip(shares, ([0, 1], [0, 1, 2, 3], [0, 10, 20]), strict=True):
+        assert [cost.seconds for cost in share.results.measured("count")] == numbers
+        assert len(share.keys["count"]) == len(numbers)
+    assert shared.shared_keys(results) == set(shares[0].keys["count"])
 
 
 def test_tasks_are_run_once_and_their_results_dealt_out():

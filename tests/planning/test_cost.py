@@ -8,6 +8,7 @@ from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.compress.pca import compress_pca
 from prtbake_workers.compress.vq import compress_vq
 from prtbake_workers.planning.cost import (
+    HELD_BYTES,
     compress_memory_bytes,
     part_cost,
     plan_memory_bytes,
@@ -61,6 +62,20 @@ def test_three_channels_take_more_memory_and_bytes(method, n_terms):
         three.compress_memory_bytes - one.compress_memory_bytes
     )
     assert one.factor_floats < three.factor_floats < 3 * one.factor_floats
+
+
+def test_transfer_that_is_read_takes_no_memory_of_its_own():
+    """Beyond a GiB it is what a thread reads at a time that counts, and the largest cluster."""
+    bake = PlannedBake(n_centres=642)
+
+    def memory(n_verts: int) -> int:
+        compression = PartCompression("cta", n_verts // 360, (8, 48, 24), 4)
+        return part_cost(bake, compression, n_verts=n_verts, n_terms=16).compress_memory_bytes
+
+    below, above, twice = memory(26_000), memory(35_000), memory(70_000)
+    assert 4 * 26_000 * 16 * 642 < HELD_BYTES < 4 * 35_000 * 16 * 642 < 2 * below
+    assert above < below / 2
+    assert twice < 1.1 * above
 
 
 def test_costs_go_by_the_coefficients_of_either_basis():

@@ -1,5 +1,7 @@
 """Counts of work: against what is really done, and how they grow."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +15,7 @@ from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.primitives import sphere_mesh
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.jobs.cta_course import most_rounds
 from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.planning.rates import SHIPPED
@@ -65,6 +68,16 @@ def counted(**changes):
         ),
         "render": render_work(RenderSettings(), n_verts=n_verts, n_values=n_verts * n_terms),
     }  # fmt: skip
+
+
+def test_shared_steps_start_tasks_and_read_the_data_anew():
+    sizes = SIZES | {"n_coeffs": 162, "iterations": 4}
+    one, shared = (compress_work(replace(COMPRESSION, tasks=tasks), **sizes) for tasks in (1, 3))
+    # start and finish, and three tasks of every other round
+    assert shared["tasks"] == 2 + 3 * (most_rounds(4) - 2)
+    assert shared["values"] == most_rounds(4) * one["values"]
+    assert one["product_flops"] < shared["product_flops"] < 2.0 * one["product_flops"]
+    assert shared["solve_flops"] == one["solve_flops"]
 
 
 @pytest.mark.parametrize(

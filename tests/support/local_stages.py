@@ -8,7 +8,7 @@ from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.queue.context import TaskContext
-from prtbake_storage.queue.stages import Measured, Results, Stage
+from prtbake_storage.queue.stages import Measured, Results, Stage, Task
 from prtbake_workers.jobs import register
 
 SHARED = "prtbake_workers.jobs.fit_light:fit"
@@ -32,8 +32,17 @@ def run_stage(
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
     """Run the tasks of one stage and enter what they returned and how long they took."""
+    for tasks in stage.lists(results):
+        values, measured = _run(tasks, store, clock)
+        add = results.add if stage.rounds is None else results.add_round
+        add(stage.name, values, measured)
+
+
+def _run(
+    tasks: list[Task], store: BlobStore, clock: Callable[[], float]
+) -> tuple[list[dict[str, Any]], list[Measured]]:
     values, measured = [], []
-    for task in stage.tasks(results):
+    for task in tasks:
         module, name = task.function.split(":")
         function = getattr(importlib.import_module(module), name)
         given = json.dumps(task.args)
@@ -48,7 +57,7 @@ def run_stage(
             _left[store.url, task.function, given] = left
         values.append(json.loads(left))
         measured.append(Measured(clock() - began, 1))
-    results.add(stage.name, values, measured)
+    return values, measured
 
 
 def registered(store: BlobStore, kind: str, **registration: Any) -> dict[str, Any]:

@@ -230,6 +230,9 @@ class CompressSettings(Wire):
     null makes none."""
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     """Of a task."""
+    step_tasks: Annotated[int, Field(ge=1, le=64)] | Literal["auto"] = "auto"
+    """Tasks that share each step of a tensor approximation, 1 for all of it in one; `auto` goes by
+    its size.  The file does not depend on it.  Beside a budget it is one."""
 
     @field_validator("max_quantisation_error")
     @classmethod

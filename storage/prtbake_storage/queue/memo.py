@@ -33,8 +33,9 @@ def recall(store: BlobStore, key: str) -> Memory | None:
 def enter(
     results: Results, stage: Stage, memories: Sequence[Memory], *, recalled: bool = False
 ) -> None:
-    """Enter a finished stage's memories, in the order of its tasks."""
-    results.add(
+    """Enter the memories of a finished stage, or of a round of one that repeats, in order."""
+    add = results.add if stage.rounds is None else results.add_round
+    add(
         stage.name,
         [memory.result for memory in memories],
         [memory.measured for memory in memories],
@@ -46,12 +47,13 @@ def finished_tasks(store: BlobStore, stages: Iterable[Stage]) -> Iterator[str]:
     """Keys of a job's remembered tasks, up to the first stage that is not done."""
     results = Results()
     for stage in stages:
-        keys = [task.key for task in stage.tasks(results)]
-        found = {key: value for key in keys if (value := store.get_result(key)) is not None}
-        yield from found
-        if len(found) < len(set(keys)):
-            return
-        enter(results, stage, [_read(found[key]) for key in keys])
+        for tasks in stage.lists(results):
+            keys = [task.key for task in tasks]
+            found = {key: value for key in keys if (value := store.get_result(key)) is not None}
+            yield from found
+            if len(found) < len(set(keys)):
+                return
+            enter(results, stage, [_read(found[key]) for key in keys])
 
 
 def remember(store: BlobStore, key: str, memory: Memory) -> Memory:

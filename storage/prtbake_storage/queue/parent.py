@@ -48,15 +48,32 @@ class _Stopped(Exception):
 
 @dataclass
 class _Work:
-    """A stage under way: what waits, what is in the queue, what is done, what was lost again."""
+    """A stage under way: what waits, what is in the queue, what is done, what was lost again.
+
+    Tasks of all rounds so far are counted on; the present round's begin at ``first``.
+    """
 
     index: int
-    tasks: list[Task]
+    most_rounds: int = 1
+    round: int = -1
+    first: int = 0
+    tasks: list[Task] = field(default_factory=list)
     waiting: deque[int] = field(default_factory=deque)
     queued: dict[str, int] = field(default_factory=dict)
     done: dict[int, Memory] = field(default_factory=dict)
     losses: Counter[int] = field(default_factory=Counter)
     recalled: bool = False
+
+    def begin(self, tasks: list[Task]) -> None:
+        """Begin a round of these tasks."""
+        self.round += 1
+        self.first = len(self.tasks)
+        self.tasks += tasks
+
+    @property
+    def positions(self) -> range:
+        """Those of the present round's tasks."""
+        return range(self.first, len(self.tasks))
 
 
 class JobRun:
@@ -98,22 +115,25 @@ class JobRun:
         results = Results()
         for index, stage in enumerate(stages):
             self._check_stop()
-            work = _Work(index, stage.tasks(results))
-            looked = time.monotonic()
-            for position, task in enumerate(work.tasks):
-                # a study has thousands, and a store may be far away
-                if time.monotonic() - looked >= PROGRESS_EVERY_S:
-                    self._check_stop()
-                    looked = time.monotonic()
-                if (memory := self._recall(task, task.key)) is not None:
-                    work.done[position] = memory
-                else:
-                    work.waiting.append(position)
-            work.recalled = bool(work.done)
-            self._report(tally, work, now=True)
-            self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
-            memories = [work.done[position] for position in range(len(work.tasks))]
-            enter(results, stage, memories, recalled=work.recalled)
+            work = _Work(index, 1 if stage.rounds is None else stage.rounds.most(results))
+            for tasks in stage.lists(results):
+                work.begin(tasks)
+                looked = time.monotonic()
+                for position in work.positions:
+                    task = work.tasks[position]
+                    # a study has thousands, and a store may be far away
+                    if time.monotonic() - looked >= PROGRESS_EVERY_S:
+                        self._check_stop()
+                        looked = time.monotonic()
+                    if (memory := self._recall(task, task.key)) is not None:
+                        work.done[position] = memory
+                    else:
+                        work.waiting.append(position)
+                work.recalled = len(work.done) > work.first
+                self._report(tally, work, now=True)
+                self._run_here(tally, work) if self._quick else self._run_queued(tally, work, run)
+                memories = [work.done[position] for position in work.positions]
+                enter(results, stage, memories, recalled=work.recalled)
         finished = self._runner.finish(run.kind, run.request, run.context, results)
         self._succeed(finished, tally)
 
@@ -195,7 +215,9 @@ class JobRun:
         self._next_progress = time.monotonic() + PROGRESS_EVERY_S
         under_way = self._patiently(self._services.runs.tasks_under_way, self._job_id, work.index)
         running = [task for task in under_way if task.position not in work.done]
-        progress = tally.at(work.index, len(work.done), len(work.tasks), running)
+        done, total = len(work.done) - work.first, len(work.positions)
+        rounds = (work.round, work.most_rounds)
+        progress = tally.at(work.index, done, total, running, rounds=rounds)
         self._patiently(self._services.runs.progress, self._job_id, progress)
 
     def _succeed(self, finished: Finished, tally: Tally) -> None:

@@ -4,6 +4,8 @@ A job kind is a list of `Stage`; a stage is a list of `Task` that may run at onc
 the next stage's tasks are a pure function of the results so far.  A task is a pure function of its
 arguments, named by the digest of both and of the code, and its result is remembered under that
 name: it is never run again, whichever worker, retry or recovery asks.
+
+A stage may repeat: its tasks come in rounds, each a pure function of the rounds before.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -76,12 +78,23 @@ class Measured(NamedTuple):
     peak_memory_bytes: int
 
 
+class Round(NamedTuple):
+    """What the tasks of one round left, in order, and what they cost."""
+
+    values: list[dict[str, Any]]
+    measured: list[Measured]
+
+
 class Results(Mapping[str, list[dict[str, Any]]]):
-    """Stage name -> the results of its tasks, in order; `measured` gives their costs."""
+    """Stage name -> the results of its tasks, in order; `measured` gives their costs.
+
+    A stage that repeats is among the names when its last round has ended, with the results that it
+    makes of all; until then, `rounds` has what it left so far.
+    """
 
     def __init__(self) -> None:
         self._values: dict[str, list[dict[str, Any]]] = {}
-        self._measured: dict[str, list[Measured]] = {}
+        self._rounds: dict[str, list[Round]] = {}
         self._recalled: set[str] = set()
 
     def __getitem__(self, stage: str) -> list[dict[str, Any]]:
@@ -94,8 +107,14 @@ class Results(Mapping[str, list[dict[str, Any]]]):
         return len(self._values)
 
     def measured(self, stage: str) -> list[Measured]:
-        """Costs of a finished stage's tasks, in order."""
-        return self._measured[stage]
+        """Costs of a finished stage's tasks, in order, those of all rounds."""
+        if stage not in self._values:
+            raise KeyError(stage)
+        return [cost for done in self.rounds(stage) for cost in done.measured]
+
+    def rounds(self, stage: str) -> Sequence[Round]:
+        """Return the rounds of a stage that have ended: one, where it does not repeat."""
+        return self._rounds.get(stage, ())
 
     def recalled(self, stage: str) -> bool:
         """Tell whether a task of a finished stage had run before the job came to it."""
@@ -110,12 +129,49 @@ class Results(Mapping[str, list[dict[str, Any]]]):
         recalled: bool = False,
     ) -> None:
         """Enter a finished stage; its name must be new."""
+        if stage in self._rounds:
+            raise ValueError(f"two stages are called {stage!r}")
+        self.add_round(stage, values, measured, recalled=recalled)
+        self.close(stage, values)
+
+    def add_round(
+        self,
+        stage: str,
+        values: Sequence[dict[str, Any]],
+        measured: Sequence[Measured],
+        *,
+        recalled: bool = False,
+    ) -> None:
+        """Enter a round of a stage that repeats."""
         if stage in self._values:
             raise ValueError(f"two stages are called {stage!r}")
-        self._values[stage] = list(values)
-        self._measured[stage] = list(measured)
+        self._rounds.setdefault(stage, []).append(Round(list(values), list(measured)))
         if recalled:
             self._recalled.add(stage)
+
+    def close(self, stage: str, values: Sequence[dict[str, Any]]) -> None:
+        """Finish a stage whose rounds are entered, with its results."""
+        if stage in self._values:
+            raise ValueError(f"two stages are called {stage!r}")
+        self._rounds.setdefault(stage, [])
+        self._values[stage] = list(values)
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """How a stage repeats: until its list of tasks is empty.
+
+    Attributes
+    ----------
+    most
+        From the results of earlier stages to the most rounds that there can be, at least 1; its
+        progress counts them.
+    outcome
+        From the results, with all rounds of the stage, to the results of the stage.
+    """
+
+    most: Callable[[Results], int]
+    outcome: Callable[[Results], list[dict[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -133,12 +189,28 @@ class Stage:
     tasks
         From the results of earlier stages to this stage's tasks.  It must be a pure function
         without I/O: a recovered job calls it again and must get the same list.
+    rounds
+        Of a stage that repeats: ``tasks`` is asked after each round, which `Results.rounds` then
+        has, for those of the next.  None for one list of tasks.
     """
 
     name: str
     unit: str
     weight: float
     tasks: Callable[[Results], list[Task]]
+    rounds: Rounds | None = None
+
+    def lists(self, results: Results) -> Iterator[list[Task]]:
+        """Yield the tasks of each round; what one left must be entered before asking for the next.
+
+        At the end the stage itself is entered, if it repeats.
+        """
+        yield self.tasks(results)
+        if self.rounds is None:
+            return
+        while tasks := self.tasks(results):
+            yield tasks
+        results.close(self.name, self.rounds.outcome(results))
 
 
 class ArtefactFile(NamedTuple):

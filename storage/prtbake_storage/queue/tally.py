@@ -25,15 +25,30 @@ class Tally:
         self._first: tuple[float, float] | None = None
         self._fraction = fraction
 
-    def at(self, index: int, done: int, total: int, under_way: Sequence[TaskProgress]) -> Progress:
-        """Progress in stage ``index``: tasks done, tasks in all, and those that run."""
+    def at(
+        self,
+        index: int,
+        done: int,
+        total: int,
+        under_way: Sequence[TaskProgress],
+        *,
+        rounds: tuple[int, int] = (0, 1),
+    ) -> Progress:
+        """Progress in stage ``index``: tasks done, tasks in all, and those that run.
+
+        ``rounds`` are those before the one that these tasks are of, and the most there can be.
+        """
         shares = [min(task.done / task.total, 1.0) for task in under_way if task.total > 0]
         part = min((done + sum(shares)) / total, 1.0) if total else 1.0
+        ended, most = rounds
+        part = min((ended + part) / most, 1.0)
         before = sum(self._weights[:index])
         fraction = (before + self._weights[index] * part) / self._whole
         self._fraction = max(self._fraction, min(fraction, 1.0))
         count: tuple[float, float, str] = (done, total, self._stages[index].unit)
-        if total == 1 and done == 0 and under_way:
+        if most > 1:
+            count = (ended, most, "rounds")
+        elif total == 1 and done == 0 and under_way:
             # a single long task counts in its own unit
             task = under_way[0]
             count = (task.done, task.total, task.unit or self._stages[index].unit)

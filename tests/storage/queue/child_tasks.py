@@ -13,7 +13,7 @@ from typing import Any
 
 from prtbake_storage.errors import MeshError
 from prtbake_storage.queue.context import TaskContext
-from prtbake_storage.queue.stages import Finished, Results, Stage, Task
+from prtbake_storage.queue.stages import Finished, Results, Rounds, Stage, Task
 
 
 def surroundings(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
@@ -89,11 +89,14 @@ def store_text(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 
 
 class TwoStages:
-    """A task for each of the request's words, then one that puts them together."""
+    """A task for each of the request's words, then one that puts them together.
+
+    Of kind ``chain`` words come in rounds of two tasks, each knowing what the round before left.
+    """
 
     def stages(self, kind: str, request: dict[str, Any], _context: dict[str, Any]) -> list[Stage]:
         """List the stages."""
-        if kind != "words":
+        if kind not in ("words", "chain"):
             raise MeshError(f"there is no kind {kind}")
 
         def words(_: Results) -> list[Task]:
@@ -103,7 +106,22 @@ class TwoStages:
             digests = [word["digest"] for word in results["words"]]
             return [Task("child_tasks:store_text", {"text": " ".join(digests)})]
 
-        return [Stage("words", "words", 1.0, words), Stage("join", "files", 1.0, join)]
+        def links(results: Results) -> list[Task]:
+            done = results.rounds("words")
+            before = " ".join(value["digest"] for value in done[-1].values) if done else ""
+            return [
+                Task("child_tasks:store_text", {"text": f"{before} {word} {n}"})
+                for word in request["words"][len(done) : len(done) + 1]
+                for n in range(2)
+            ]
+
+        rounds = Rounds(
+            lambda _: len(request["words"]) + 2, lambda results: results.rounds("words")[-1].values
+        )
+        first = Stage("words", "words", 1.0, words)
+        if kind == "chain":
+            first = Stage("words", "words", 1.0, links, rounds)
+        return [first, Stage("join", "files", 1.0, join)]
 
     def finish(
         self, _kind: str, _request: dict[str, Any], _context: dict[str, Any], results: Results

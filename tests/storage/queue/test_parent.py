@@ -19,7 +19,7 @@ from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.contract.jobs import Job, JobState
 from prtbake_storage.queue import parent, patience, stages
 from prtbake_storage.queue.engine import GIVEN_UP, task_id
-from prtbake_storage.queue.memo import recall
+from prtbake_storage.queue.memo import finished_tasks, recall
 from prtbake_storage.queue.parent import JobRun
 from prtbake_storage.queue.settings import QueueSettings
 from prtbake_storage.queue.stages import Results, Task, package_of
@@ -84,6 +84,32 @@ def walk(services: Services, queue: Queue, *, quick: bool = False) -> Job:
     """Run the job to its end, as a worker would."""
     JobRun(services, queue, TWO_STAGES, "job", quick=quick).run()  # type: ignore[arg-type]
     return Jobs(services.database).get("job")
+
+
+def test_a_stage_repeats_until_it_has_no_tasks(services: Services, queue: Queue) -> None:
+    request = {"words": ["red", "green", "blue"]}
+    Jobs(services.database).create(NewJob(id="job", kind="chain", request=request))
+    job = walk(services, queue)
+    assert job.state == JobState.succeeded, job.error
+    # three rounds of two, each named by the one before, and the stage that follows
+    assert queue.n_runs == 7
+    digests: list[str] = []
+    for word in request["words"]:
+        digests = [digest_of(f"{' '.join(digests)} {word} {n}".encode()) for n in range(2)]
+    (artefact,) = job.artefacts
+    assert services.store.read_bytes(artefact.sha256).decode() == " ".join(digests)
+    events = Events(services.database).after("job")
+    told = [event.data for event in events if event.type == "progress"]
+    fractions = [one["fraction"] for one in told]
+    assert fractions == sorted(fractions)
+    # of five rounds that there could have been
+    seen = {(one["done"], one["total"]) for one in told if one["unit"] == "rounds"}
+    assert seen == {(0, 5), (1, 5), (2, 5)}
+    # whoever walks again finds every round
+    stages = TWO_STAGES.stages("chain", request, {})
+    assert len(list(finished_tasks(services.store, stages))) == 7
+    services.store.delete_result(list(finished_tasks(services.store, stages))[3])
+    assert len(list(finished_tasks(services.store, stages))) == 3
 
 
 def first_task(*words: str) -> Task:

@@ -56,6 +56,25 @@ def test_results_are_entered_once() -> None:
         results["join"]
 
 
+def test_rounds_are_entered_until_the_stage_is_closed() -> None:
+    results = Results()
+    results.add_round("tiles", [{"n": 1}], [Measured(2.0, 3)])
+    assert "tiles" not in results
+    with pytest.raises(KeyError):
+        results.measured("tiles")
+    results.add_round("tiles", [{"n": 2}, {"n": 3}], [Measured(4.0, 5)] * 2, recalled=True)
+    assert [len(done.values) for done in results.rounds("tiles")] == [1, 2]
+    results.close("tiles", [{"n": 3}])
+    assert results["tiles"] == [{"n": 3}]
+    assert results.measured("tiles") == [Measured(2.0, 3), *[Measured(4.0, 5)] * 2]
+    assert results.recalled("tiles")
+    for enter in (results.add, results.add_round):
+        with pytest.raises(ValueError, match="tiles"):
+            enter("tiles", [], [])
+    with pytest.raises(ValueError, match="tiles"):
+        results.close("tiles", [])
+
+
 def test_files_have_names_of_their_own() -> None:
     one, other = ("a.png", "image/png", "sha256:1"), ("b.png", "image/png", "sha256:1")
     assert len(Finished({}, [one, other]).artefacts) == 2
@@ -110,6 +129,15 @@ def test_a_single_long_task_counts_in_its_own_unit() -> None:
     progress = tally(1.0).at(0, 0, 1, [TaskProgress(0, 30.0, 120.0, "iterations")])
     assert (progress.done, progress.total, progress.unit) == (30.0, 120.0, "iterations")
     assert progress.fraction == pytest.approx(0.25)
+
+
+def test_rounds_share_the_progress_of_their_stage() -> None:
+    progress = tally(1.0, 1.0)
+    now = progress.at(0, 1, 2, [], rounds=(3, 10))
+    assert (now.done, now.total, now.unit) == (3, 10, "rounds")
+    assert now.fraction == pytest.approx(0.5 * 0.35)
+    # the last of them came early
+    assert progress.at(1, 0, 1, []).fraction == pytest.approx(0.5)
 
 
 def test_a_stage_without_tasks_is_done() -> None:

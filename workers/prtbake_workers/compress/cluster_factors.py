@@ -59,7 +59,7 @@ def initial_light_basis(
         scale = root_weights[chunk].astype(np.float32)[:, None, None]
         rows = (z[chunk] * scale).reshape(-1, n_coeffs)
         gram += rows.T @ rows
-    return leading_eigenvectors(gram, rank)[1].astype(np.float32)
+    return leading_eigenvectors(gram, rank)[1].astype(np.float32, order="C")
 
 
 def project_light(
@@ -95,12 +95,12 @@ def light_step(
 ) -> Float32[F32, "coeffs r_light"]:
     """Return the best U_light,c for a given U_vert,c, or a better one than ``start``."""
     n_verts, r_view, n_coeffs = z.shape
-    mixing = (u_vert * root_weights[:, None]).T.astype(np.float32)
+    mixing = (u_vert * root_weights[:, None]).T.astype(np.float32, order="C")
     mixed = mixing @ z.reshape(n_verts, r_view * n_coeffs)
     rows = mixed.reshape(-1, n_coeffs).astype(np.float64)
-    return _row_space(rows, rank, None if start is None else start.T.astype(np.float64)).T.astype(
-        np.float32
-    )
+    given = None if start is None else start.T.astype(np.float64)
+    # one layout wherever bases come from: another makes other bits of a product
+    return _row_space(rows, rank, given).T.astype(np.float32, order="C")
 
 
 def vertex_step(
@@ -117,7 +117,7 @@ def vertex_step(
     rows = projected.astype(np.float64)
     rows *= root_weights[:, None]
     start = None if u_vert is None else np.linalg.qr(rows.T @ u_vert)[0].T
-    return _row_space(rows, rank, start).astype(np.float32)
+    return _row_space(rows, rank, start).astype(np.float32, order="C")
 
 
 def _row_space(

@@ -172,7 +172,24 @@ def compress(method: str, coefficients: Rows, sizes: Sizes, fit: Fit) -> Compres
     SettingsError
         For what the method cannot use, with the argument as pointer.
     """
-    model = _drawn_less(METHODS[method](coefficients, sizes, fit), coefficients, fit)
+    return finished(METHODS[method](coefficients, sizes, fit), coefficients, fit)
+
+
+def finished(model: CpcaModel | CtaModel, coefficients: Rows, fit: Fit) -> Compressed:
+    """Do what follows a method's own fit, which leaves ``model``.
+
+    Ranks a cluster at a time, where they are asked for, then fewer draws; and names of the factors.
+    """
+    if isinstance(model, CtaModel) and fit.classification == "adaptive":
+        model = with_own_ranks(
+            model,
+            coefficients,
+            vertex_weights=fit.vertex_weights,
+            progress=lambda done, state: fit.progress(
+                EVEN_SHARE + (1.0 - EVEN_SHARE) * done, state
+            ),
+        )
+    model = _drawn_less(model, coefficients, fit)
     return Compressed(model=model, factors=factors_of(model, coefficients.shape, fit.n_channels))
 
 
@@ -210,9 +227,8 @@ def _cpca(coefficients: Rows, sizes: Sizes, fit: Fit) -> CpcaModel:
 
 
 def _cta(coefficients: Rows, sizes: Sizes, fit: Fit) -> CtaModel:
-    adaptive = fit.classification == "adaptive"
-    share = EVEN_SHARE if adaptive else 1.0
-    model = compress_cta(
+    share = EVEN_SHARE if fit.classification == "adaptive" else 1.0
+    return compress_cta(
         coefficients,
         sizes.n_clusters,
         CtaRanks(*sizes.ranks),
@@ -222,14 +238,6 @@ def _cta(coefficients: Rows, sizes: Sizes, fit: Fit) -> CtaModel:
         n_channels=fit.n_channels,
         coherence=fit.coherence,
         progress=lambda done, state: fit.progress(share * done, state),
-    )
-    if not adaptive:
-        return model
-    return with_own_ranks(
-        model,
-        coefficients,
-        vertex_weights=fit.vertex_weights,
-        progress=lambda done, state: fit.progress(share + (1.0 - share) * done, state),
     )
 
 

@@ -24,7 +24,7 @@ def initial_view_basis(
 ) -> Float32[F32, "terms r_view"]:
     """Return the leading left singular vectors of the mode-1 unfolding ([Tsai2006]_ 5.2.2)."""
     gram = _view_gram(transfer, weights, n_channels)
-    return leading_eigenvectors(gram, rank)[1].astype(np.float32)
+    return leading_eigenvectors(gram, rank)[1].astype(np.float32, order="C")
 
 
 def view_energies(
@@ -83,7 +83,7 @@ def view_gram_of_cluster(
     n_terms = n_rows // n_channels
     if n_verts == 0:
         return np.zeros((n_terms, n_terms))
-    mixing = (vertex_basis * root_weights[:, None]).T.astype(np.float32)
+    mixing = (vertex_basis * root_weights[:, None]).T.astype(np.float32, order="C")
     mixed = mixing @ transfer.reshape(n_verts, n_rows * n_coeffs)
     core = (mixed.reshape(-1, n_coeffs) @ factors.light).astype(np.float64)
     r_vert, r_light = n_channels * mixing.shape[0], factors.light.shape[1]
@@ -97,7 +97,7 @@ def view_basis_of_grams(
 ) -> Float32[F32, "terms r_view"]:
     """Return the leading eigenvectors of the sum of all clusters' Gram matrices, in order."""
     first, *others = grams
-    return leading_eigenvectors(sum(others, first), rank)[1].astype(np.float32)
+    return leading_eigenvectors(sum(others, first), rank)[1].astype(np.float32, order="C")
 
 
 def project_view(

@@ -11,28 +11,27 @@ from numpy.typing import NDArray
 
 from prtbake_storage.contract.settings import CompressSettings, Quality
 from prtbake_storage.decode.asset import Asset, Part
-from prtbake_storage.decode.overdraw import average_overdraw
-from prtbake_storage.hdf5.bundle import read_bundle, write_bundle
+from prtbake_storage.hdf5.bundle import read_bundle
 from prtbake_storage.hdf5.transfer import TransferHeader, TransferPart, open_transfer
 from prtbake_storage.hdf5.writer import write_asset
 from prtbake_storage.queue.context import TaskContext
-from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.arrays import F64, I32
+from prtbake_storage.queue.stages import Results, Rounds, Stage, Task
+from prtbake_workers.arrays import F64
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import ERROR_TOLERANCE, fit_view_texture
-from prtbake_workers.compress.coherence import coherence_of
-from prtbake_workers.compress.methods import Fit, compress
+from prtbake_workers.compress.methods import compress
 from prtbake_workers.compress.rows import Rows
 from prtbake_workers.compress.superclusters import (
-    check_registers,
     make_superclusters,
     registers_of_clusters,
 )
 from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.deadline import ends_by
+from prtbake_workers.jobs.cta_course import OneTask, SharedSteps, course, most_rounds
 from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
+from prtbake_workers.jobs.part_fit import part_fit, part_result
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.rows_file import write_rows
 from prtbake_workers.jobs.sized import check_bytes, write_sized
@@ -60,22 +59,22 @@ def stages(
     settings: CompressSettings,
     seed: int,
 ) -> list[Stage]:
-    """Compress each part in a task of its own, then write the asset.
+    """Compress each part in a task of its own, or in rounds of tasks, then write the asset.
 
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
     """
     rounding, draws = options(settings), draw_settings(settings)
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
 
-    def parts(results: Results) -> list[Task]:
+    def parts(results: Results) -> list[OneTask | SharedSteps]:
         transfer, compressions = plan_of(results)
-        return [
+        wholes = [
             Task(
                 f"{_MODULE}:compress_part",
                 {
                     "transfer": transfer,
                     "part": index,
-                    "compression": compression,
+                    "compression": _made(compression),
                     "max_iterations": settings.max_iterations,
                     "max_error": settings.max_error,
                     "kept": kept,
@@ -88,6 +87,12 @@ def stages(
             )
             for index, compression in enumerate(compressions)
         ]
+        n_tasks = [compression["tasks"] for compression in compressions]
+        return course(wholes, n_tasks, results.rounds("compress"))
+
+    def most(results: Results) -> int:
+        shared = any(compression["tasks"] > 1 for compression in plan_of(results)[1])
+        return most_rounds(settings.max_iterations) if shared else 1
 
     def assemble(results: Results) -> list[Task]:
         transfer, compressions = plan_of(results)
@@ -107,14 +112,25 @@ def stages(
             | draws
             | {"seed": seed}
             | rounding
-            | {"parts": compressions},
+            | {"parts": list(map(_made, compressions))},
         }
         return [Task(f"{_MODULE}:assemble", args)]
 
     return [
-        Stage("compress", "parts", 30.0, parts),
+        Stage(
+            "compress",
+            "parts",
+            30.0,
+            lambda results: [task for part in parts(results) for task in part.tasks()],
+            Rounds(most, lambda results: [part.result or {} for part in parts(results)]),
+        ),
         Stage("quantise", "asset", 2.0, assemble),
     ]
+
+
+def _made(compression: dict[str, Any]) -> dict[str, Any]:
+    """Leave out how many tasks make the steps: it is no part of what is made."""
+    return {name: value for name, value in compression.items() if name != "tasks"}
 
 
 def standalone_stages(
@@ -241,15 +257,6 @@ def read_coefficients(
     return own, coefficients
 
 
-def read_mesh(path: Path, part: TransferPart) -> tuple[F64, I32]:
-    """Read a part's positions (verts, 3), and triangles (tris, 3) in its own numbering."""
-    with open_transfer(path) as transfer:
-        header = transfer.header
-    start, stop = part.vertex_range
-    own = (header.faces[:, 0] >= start) & (header.faces[:, 0] < stop)
-    return header.positions[start:stop], header.faces[own] - np.int32(start)
-
-
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     began = time.monotonic()
@@ -259,53 +266,16 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         context.scratch if args["compression"]["method"] == "cta" else None,
     )
     compression, deadline = planned_fit(args, context, time.monotonic() - began)
-    draws = args.get("draws") or {}
-    positions, faces = read_mesh(context.store.local_path(args["transfer"]), part)
-    weights = part.areas / part.areas.sum() if part.areas.sum() > 0 else None
-
-    def progress(fraction: float, phase: str) -> None:
-        context.progress(fraction, 1.0, phase)
-
-    fit = Fit(
-        seed=args["seed"],
-        max_iterations=args["max_iterations"],
-        n_channels=part.n_channels,
-        vertex_weights=weights,
-        classification=compression.classification,
-        coherence=coherence_of(positions, draws.get("coherence")),
-        faces=faces,
-        overdraw_budget=draws.get("overdraw_budget"),
-        progress=progress,
-    )
+    fit, faces = part_fit(args, context, part, compression.classification)
     inputs = compression.method, coefficients, compression, fit
     with ends_by(deadline):
         if args.get("max_error") is None:
             compressed = compress(*inputs)
         else:
             compressed = compress_to_error(*inputs, args["max_error"], kept=args["kept"])
-    model = compressed.model
-    if draws.get("registers") is not None:
-        # planning knows neither ranks that are searched nor those of adaptive classification
-        needs = registers_of_clusters(
-            compressed.factors["ranks"], with_mean="means" in compressed.factors
-        )
-        check_registers(needs, draws["registers"])
-    header = {"method": compression.method}
-    path = write_bundle(context.scratch / "factors.h5", compressed.factors, header)
-    return {
-        "factors": context.store.put_file(path, move=True),
-        "name": part.name,
-        "method": compression.method,
-        "clusters": int(model.n_clusters),
-        "objective": [float(value) for value in model.objective],
-        "initial_energy": float(model.initial_energy),
-        "iterations": int(model.iterations),
-        "factor_bytes": int(model.nbytes),
-        "transfer_bytes": int(coefficients.nbytes),
-        "errors": {part.name: float(model.squared_error_ratio)},
-        "overdraw": average_overdraw(faces, model.labels),
-        "notes": [*model.notes, *time_notes(part.name, args, model, deadline)],
-    }
+    result = part_result(compressed, part, coefficients.nbytes, faces, args, context)
+    late = time_notes(part.name, args, compressed.model, deadline)
+    return result | {"notes": result["notes"] + late}
 
 
 def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def stage_cost(name: str, results: Results) -> dict[str, Any]:
     measured = results.measured(name)
     return {
         "name": name,
-        "tiles": len(results[name]),
+        "tiles": len(measured),
         "seconds": sum((one.seconds for one in measured), start=0.0),
         "peak_memory_bytes": max((one.peak_memory_bytes for one in measured), default=0),
         "files": sorted(set(referenced_digests(results[name]))),

@@ -11,7 +11,7 @@ from typing import Any
 
 from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.queue.context import TaskContext
-from prtbake_storage.queue.stages import Results, Stage, Task
+from prtbake_storage.queue.stages import Results, Round, Rounds, Stage, Task
 from prtbake_workers.jobs import compress, fit_light, plan
 
 _MODULE = "prtbake_workers.jobs.shared_stages"
@@ -65,7 +65,7 @@ class SharedStages:
         # what was dealt out of the results that were asked about last: these only ever grow
         self._seen: Results | None = None
         self._shares: list[Share] = []
-        self._dealt = 0
+        self._dealt = self._rounds_dealt = 0
         self._listed: dict[str, list[list[Task]]] = {}
 
     def stages(self) -> list[Stage]:
@@ -82,13 +82,19 @@ class SharedStages:
             are refused.
         """
         if results is not self._seen:
-            self._seen, self._dealt = results, 0
+            self._seen, self._dealt, self._rounds_dealt = results, 0, 0
             self._shares = [Share() for _ in self._jobs]
             self._listed = {}
         try:
-            while self._dealt < len(self._order) and self._order[self._dealt] in results:
-                self._deal(self._order[self._dealt], results)
-                self._dealt += 1
+            while self._dealt < len(self._order):
+                name = self._order[self._dealt]
+                for done in results.rounds(name)[self._rounds_dealt :]:
+                    self._deal(name, done)
+                    self._rounds_dealt += 1
+                if name not in results:
+                    break
+                self._close(name)
+                self._dealt, self._rounds_dealt = self._dealt + 1, 0
         except InputError:
             self._seen = None  # a stage is half dealt out
             raise
@@ -113,36 +119,65 @@ class SharedStages:
                     once.setdefault(task.key, task)
             return list(once.values())
 
-        return Stage(name, model.unit, model.weight, tasks)
+        return Stage(name, model.unit, model.weight, tasks, self._rounds(name))
+
+    def _rounds(self, name: str) -> Rounds | None:
+        """Repeat as long as any job does."""
+        known = [stages[name].rounds if name in stages else None for stages in self._jobs]
+        if not any(known):
+            return None
+
+        def most(results: Results) -> int:
+            shares = zip(known, self.shares(results), strict=True)
+            return max(
+                own.most(share.results) if own and share.refused is None else 1
+                for own, share in shares
+            )
+
+        def outcome(results: Results) -> list[dict[str, Any]]:
+            return [value for done in results.rounds(name) for value in done.values]
+
+        return Rounds(most, outcome)
 
     def _tasks(self, name: str, shares: Sequence[Share]) -> list[list[Task]]:
         return [
             [attempted(task) for task in stages[name].tasks(share.results)]
-            if name in stages and share.refused is None
+            if name in stages and name not in share.results and share.refused is None
             else []
             for stages, share in zip(self._jobs, shares, strict=True)
         ]
 
-    def _deal(self, name: str, results: Results) -> None:
+    def _close(self, name: str) -> None:
+        """Give the jobs whose stage repeats its results."""
+        self._listed.pop(name, None)
+        for stages, share in zip(self._jobs, self._shares, strict=True):
+            rounds = stages[name].rounds if name in stages else None
+            if rounds is not None and share.refused is None:
+                share.results.close(name, rounds.outcome(share.results))
+
+    def _deal(self, name: str, done: Round) -> None:
         tasks = self._listed.pop(name, None) or self._tasks(name, self._shares)
         place: dict[str, int] = {}
         for own in tasks:
             for task in own:
                 place.setdefault(task.key, len(place))
-        values, costs = results[name], results.measured(name)
         for job, (share, own) in enumerate(zip(self._shares, tasks, strict=True)):
-            if share.refused is not None or name not in self._jobs[job]:
+            if share.refused is not None or name not in self._jobs[job] or name in share.results:
                 continue
-            share.keys[name] = [task.key for task in own]
-            found = [values[place[key]] for key in share.keys[name]]
+            if not own and share.results.rounds(name):
+                continue  # it needs fewer rounds than others
+            keys = [task.key for task in own]
+            share.keys.setdefault(name, []).extend(keys)
+            found = [done.values[place[key]] for key in keys]
             refused = next((value["refused"] for value in found if "refused" in value), None)
             if refused is not None:
                 self._refuse(job, refused)
                 continue
-            share.results.add(
+            repeats = self._jobs[job][name].rounds is not None
+            (share.results.add_round if repeats else share.results.add)(
                 name,
                 [value.get("attempted", value) for value in found],
-                [costs[place[key]] for key in share.keys[name]],
+                [done.measured[place[key]] for key in keys],
             )
         if all(share.refused is not None for share in self._shares):
             raise SettingsError(f"no point can be run: {self._shares[0].refused}")

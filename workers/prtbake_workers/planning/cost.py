@@ -175,10 +175,10 @@ def part_cost(
         seen = n_verts * n_channels * view * n_coeffs
         # rows are projected and compared a chunk at a time, by each thread
         memory = 6 * values + 14 * seen + THREADS * min(4 * seen, ROW_CHUNK_BYTES)
-        if 4 * values > HELD_BYTES:
+        if 4 * values > HELD_BYTES or compression.tasks > 1:
             row = 6 * n_channels * n_terms * n_coeffs + 8 * n_channels * view * n_coeffs
-            memory = 4 * n_verts * n_channels * n_terms
-            memory += THREADS * max(READ_CHUNK_BYTES, members * row)
+            read = THREADS * max(READ_CHUNK_BYTES, members * row)
+            memory = min(memory, 4 * n_verts * n_channels * n_terms + read)
         memory += THREADS * _decomposition_bytes(members, n_channels * view * light)
     else:
         # a vertex's matrix is one signal, of which a cluster keeps its mean and components

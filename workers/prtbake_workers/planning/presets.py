@@ -28,6 +28,7 @@ from prtbake_storage.contract.settings import (
 )
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
+from prtbake_workers.planning.fan_out import tasks_a_step
 from prtbake_workers.planning.view_rank import view_rank
 
 
@@ -265,13 +266,17 @@ def _validation(fields: dict[str, Any]) -> ValidateSettings:
 
 @dataclass(frozen=True)
 class PartCompression:
-    """How one part is compressed; each method reads the sizes that it has a use for."""
+    """How one part is compressed; each method reads the sizes that it has a use for.
+
+    ``tasks`` share each step of a tensor approximation; they change nothing that is made.
+    """
 
     method: str
     n_clusters: int
     ranks: tuple[int, int, int]
     n_components: int
     classification: str = "static"
+    tasks: int = 1
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "PartCompression":
@@ -324,12 +329,29 @@ def resolve_compression(
         # what is sharp in view is sharp in light and differs between vertices too
         growth = float(np.sqrt(view / step.ranks[0]))
         light, vert = round(light * growth), round(vert * growth)
-    view = min(view, n_terms)
+    view, n_clusters = min(view, n_terms), min(n_clusters, n_verts)
+    # a vertex mixes vert matrices of so many rows: together they span no more
+    light = min(light, n_coeffs, n_channels * view * vert)
+    tasks = 1
+    budgets = settings.max_error, settings.max_bytes, settings.max_seconds
+    if method == "cta" and budgets == (None, None, None):
+        tasks = (
+            settings.step_tasks
+            if settings.step_tasks != "auto"
+            else tasks_a_step(
+                n_verts=n_verts,
+                n_rows=n_channels * view,
+                n_coeffs=n_coeffs,
+                n_clusters=n_clusters,
+                light=light,
+                vert=vert,
+            )
+        )
     return PartCompression(
         method=method,
-        n_clusters=min(n_clusters, n_verts),
-        # a vertex mixes vert matrices of so many rows: together they span no more
-        ranks=(view, min(light, n_coeffs, n_channels * view * vert), vert),
+        n_clusters=n_clusters,
+        ranks=(view, light, vert),
         n_components=min(n_components, n_channels * n_terms * n_coeffs),
         classification=settings.classification,
+        tasks=min(tasks, n_clusters),
     )

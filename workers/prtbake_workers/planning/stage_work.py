@@ -148,10 +148,12 @@ def compress_work(
 ) -> dict[str, float]:
     """Count what compressing a part does: reading, products with all data, small decompositions.
 
-    Threads share the clusters.
+    Threads share the clusters.  Where tasks share the steps, each step starts them anew and reads
+    all data once more, projected on the view, and each classifying task folds all bases.
     """
     clusters = min(compression.n_clusters, n_verts)
     values = float(n_verts * n_channels * n_terms * n_coeffs)
+    tasks, reads = 1, 1
     members = n_verts / clusters
     if compression.method == "cta":
         view, light, vert = compression.ranks
@@ -159,7 +161,14 @@ def compress_work(
         data = float(n_verts * rows * n_coeffs)
         vert = min(vert, n_verts, rows * light)
         steps = SWEEPS * iterations + APPROXIMATIONS
-        product = (
+        rounds = (2 * iterations - 1) + 2 * APPROXIMATIONS
+        again = 0.0
+        if compression.tasks > 1:
+            tasks, reads = 2 + compression.tasks * rounds, 2 + rounds
+            folds = (iterations - 1) * (compression.tasks - 1)
+            again = 2.0 * values * view * rounds
+            again += folds * 2.0 * clusters * vert * rows * light * n_coeffs
+        product = again + (
             # the view basis: its Gram matrix, and projecting on it
             2.0 * values * (n_terms + (1 + APPROXIMATIONS) * view)
             + 2.0 * data * clusters * LBG_ITERATIONS
@@ -187,10 +196,10 @@ def compress_work(
         solve = 0.0
         if compression.n_components:
             solve = clusters * decomposition_flops(members, values / n_verts)
-    shared = min(threads, clusters)
+    shared = min(threads, max(1, clusters // compression.tasks))
     return {
-        "tasks": 1.0,
-        "values": values,
+        "tasks": float(tasks),
+        "values": reads * values,
         "product_flops": product / shared,
         "solve_flops": solve / shared,
     }
