@@ -95,13 +95,20 @@ def statements(kept: Mapping[str, Kept]) -> list[Statement]:
     scenes = {scene.name: kept[scene.name] for scene in SCENES if scene.name in kept}
     missing = [scene.name for scene in (*SCENES, LADDER) if scene.name not in kept]
     missing += [] if FIGURE_4 in kept else [FIGURE_4]
+    # of an earlier definition, or a part of it
+    other = [
+        scene.name
+        for scene in (*SCENES, LADDER)
+        if scene.name in kept
+        and {axis["path"]: axis["values"] for axis in kept[scene.name]["axes"]} != dict(scene.axes)
+    ]
     beaten = {name: dominated(own, cost) for name, own in scenes.items() for cost in COSTS}
     spans = {name: span(own) for name, own in scenes.items()}
     return [
         Statement(
-            "all scenes, the ladder and figure 4 are measured",
-            not missing,
-            f"missing: {', '.join(missing)}" if missing else "none is missing",
+            "all scenes, the ladder and figure 4 are measured, at all values of their axes",
+            not missing and not other,
+            f"missing: {', '.join(missing) or 'none'}; at others: {', '.join(other) or 'none'}",
         ),
         Statement(
             "no point of a frontier is beaten by another in error and cost, held one by one",

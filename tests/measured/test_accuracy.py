@@ -134,6 +134,7 @@ def test_each_statement_fails_where_it_does_not_hold(kept):
         return change
 
     assert broken(lambda found: found.pop("bunny")) == [0]
+    assert broken(lambda found: found["spot"]["axes"][0]["values"].pop()) == [0]
     assert broken(beaten) == [1]
     assert broken(narrow) == [2]
     assert [broken(rising(name)) for name in ("error", "seconds", "bytes")] == [[3], [4], [5]]
@@ -200,7 +201,7 @@ def test_a_part_leaves_the_rest(kept, tmp_path):
     assert not write(tmp_path, found)
     text = (tmp_path / "measured" / "accuracy.md").read_text()
     assert "**fails**: all scenes" in text
-    assert "missing: spot, figure4" in text
+    assert "missing: spot, figure4; at others: none" in text
     assert "Spot on a plane" not in text
 
 
