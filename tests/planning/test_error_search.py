@@ -157,7 +157,7 @@ def test_plain_worlds_end_just_below_the_aim(base, aim, share):
 
 
 def test_what_compression_refuses_is_asked_for_more_loosely():
-    tried = search(0.05, 0.1, 0.5, 1.0, refused_below=0.03)
+    tried = search(0.05, 0.1, 0.2, 1.0, refused_below=0.03)
     assert tried[0][1] is None
     assert tried[1][0] > tried[0][0]
     best = best_compression(tried, 0.1)
