@@ -125,8 +125,9 @@ def test_an_error_that_no_step_meets_is_refused_with_the_best(store):
     assert "vertex interpolation, which a finer mesh or receiver would lower" in str(raised.value)
 
 
-def test_a_second_is_too_short_and_the_error_tells_the_least(store):
-    request = normal({"max_seconds": 1.0})
+@pytest.mark.parametrize("budget", [{}, {"max_error": TARGET}])
+def test_a_second_is_too_short_and_the_error_tells_the_least(store, budget):
+    request = normal({"max_seconds": 1.0} | budget)
     with pytest.raises(
         SettingsError, match=r"1 s are too few: .* predicted to take \d+ s"
     ) as raised:

@@ -33,6 +33,7 @@ from prtbake_workers.jobs.search_stages import (
     BAKE,
     Tried,
     attempt_view,
+    check_least,
     is_late,
     limit,
     numbered,
@@ -91,7 +92,9 @@ class ErrorSearch:
         (rendered,) = render.stages(
             lambda own: self._lit(self.delivered(own)), self.rungs[0].settings.render
         )
-        limited = [limit(stage, self._until) for stage in (*listed, *mended)]
+        # the first plan says whether there is time at all
+        first, *others = [*listed, *mended]
+        limited = [first, *(limit(stage, self._until) for stage in others)]
         return [*limited[:-2], self._validation(0), *limited[-2:], self._validation(1), rendered]
 
     def _until(self, results: Results) -> float | None:
@@ -99,13 +102,14 @@ class ErrorSearch:
         seconds = self.budget.max_seconds
         if seconds is None:
             return None
+        least = self.rungs[0]
+        work = asset_work(results["plan 1"][0]["plan"], least.settings, self.context)
+        check_least(seconds, work, self.context, least.quality)
         rest = self.rest_seconds(results)
         return float(self.context.get("started", 0.0)) + seconds - rest
 
     def rest_seconds(self, results: Results) -> float:
         """Predict what previews, validation and report take after the search."""
-        if "plan 1" not in results or not results["plan 1"]:
-            return 0.0
         trail = self._decisions.trail(results)
         planned = results["plan 1"][0]["plan"]
         settings = replace(

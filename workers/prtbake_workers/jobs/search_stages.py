@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import deadline
 from prtbake_workers.jobs.work import rates_of
@@ -66,6 +67,25 @@ def wall_seconds(
         for stage in stages
         if stage in work and any(work[stage].values())
     )
+
+
+def check_least(
+    seconds: float, work: Mapping[str, Mapping[str, float]], context: Mapping[str, Any], least: str
+) -> None:
+    """Refuse a time that the least there is does not fit into.
+
+    Raises
+    ------
+    SettingsError
+        With what that is predicted to take.
+    """
+    needed = wall_seconds(work, context, list(work))
+    if needed > seconds:
+        raise SettingsError(
+            f"{seconds:g} s are too few: quality {least}, the least there is, is predicted to take "
+            f"{needed:.0f} s",
+            pointer="/budget/max_seconds",
+        )
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from prtbake_workers.jobs.search_stages import (
     BAKE,
     Tried,
     attempt_view,
+    check_least,
     is_late,
     limit,
     numbered,
@@ -145,13 +146,7 @@ class TimeSearch:
             return
         settings = self._settings(results, 0)
         work = asset_work(planned[0]["plan"], settings, self._context)
-        least = wall_seconds(work, self._context, list(work))
-        if least > self._seconds:
-            raise SettingsError(
-                f"{self._seconds:g} s are too few: quality {self._ladder[0][0]}, the least there "
-                f"is, is predicted to take {least:.0f} s",
-                pointer="/budget/max_seconds",
-            )
+        check_least(self._seconds, work, self._context, self._ladder[0][0])
 
     def _settings(self, results: Results, step: int) -> StageSettings:
         """Give a step's settings, numbers left open as the first plan settled them."""
