@@ -314,6 +314,7 @@ def test_estimate(run: Run, service: LiveService, environment: str) -> None:
         "seconds": {"fit": 75.0},
         "total_seconds": 75.0,
         "artefact_bytes": {"light.h5": 4096},
+        "artefact_bytes_at_most": {},
         "peak_memory_bytes": 1 << 30,
         "errors": {"fit": 0.05},
         "warnings": ["a black [sky]"],

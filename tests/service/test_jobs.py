@@ -188,6 +188,7 @@ def test_estimate_gives_what_the_worker_found(service: LiveService, http, enviro
         "seconds": {"fit": 2.0},
         "total_seconds": 2.0,
         "artefact_bytes": {"light.h5": 1000},
+        "artefact_bytes_at_most": {},
         "peak_memory_bytes": 5,
         "errors": {},
         "warnings": [],

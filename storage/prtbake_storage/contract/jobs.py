@@ -93,9 +93,12 @@ class _OneStage(_Request):
     """Its settings of the stage stand below those given; null leaves the stage's own defaults."""
 
     @field_serializer("settings", check_fields=False)
-    def _sparse_below_a_quality(self, settings: Wire) -> dict[str, Any]:
+    def _sparse_below_a_quality(
+        self, settings: Wire, info: FieldSerializationInfo
+    ) -> dict[str, Any]:
         """Keep what was given apart from what was not: defaults would stand in a quality's way."""
-        return settings.model_dump(mode="json", exclude_unset=self.quality is not None)
+        sparse = bool(info.exclude_unset) or self.quality is not None
+        return settings.model_dump(mode="json", exclude_unset=sparse)
 
 
 class _SceneRequest(_Request):
