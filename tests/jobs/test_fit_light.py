@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import RenderSettings, ValidateSettings
 from prtbake_storage.decode.light import HarmonicLight, LightFit, WaveletLight
 from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.hdf5.light import read_light

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.jobs import fit_light
 from support.local_stages import registered, run_stages

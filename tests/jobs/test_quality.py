@@ -9,7 +9,8 @@ from prtbake_storage.contract.jobs import (
     FitLightRequest,
     job_request_adapter,
 )
-from prtbake_storage.contract.settings import AssetSettings, CompressSettings, FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import AssetSettings, CompressSettings
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.compress import compressions_of

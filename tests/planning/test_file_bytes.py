@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.decode.light import LightFit
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.light import write_light

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.settings import BakeSettings, FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.environment.environment import Environment

@@ -2,7 +2,8 @@
 
 import pytest
 
-from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import RenderSettings, ValidateSettings
 from prtbake_workers.planning.cost import CHILD_BYTES
 from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import PlannedBake

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prtbake_storage.contract.settings import FitLightSettings, RenderSettings, ValidateSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import RenderSettings, ValidateSettings
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert

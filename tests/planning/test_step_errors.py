@@ -3,7 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_workers.planning.presets import PartCompression
 from prtbake_workers.planning.resolution import vectors_of
 from prtbake_workers.planning.step_errors import (

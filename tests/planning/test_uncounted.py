@@ -2,7 +2,8 @@
 
 import pytest
 
-from prtbake_storage.contract.settings import CompressSettings, FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_workers.planning.uncounted import uncounted, untaught
 
 

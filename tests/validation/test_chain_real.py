@@ -3,7 +3,8 @@
 import pytest
 
 from prtbake_storage.blobs.opening import open_store
-from prtbake_storage.contract.settings import Camera, FitLightSettings, ValidateSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_workers.jobs import fit_light
 from prtbake_workers.jobs.validate import load_validation

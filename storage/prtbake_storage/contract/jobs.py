@@ -17,13 +17,13 @@ from pydantic import (
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 from prtbake_storage.contract.budget import AssetBudget
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.materials import Materials, Subsurface, Tangents
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
     CompressSettings,
     Effects,
-    FitLightSettings,
     Quality,
     ReceiverPlane,
     RenderSettings,

@@ -11,11 +11,8 @@ from math import ceil
 from typing import Any
 
 from prtbake_storage.contract.jobs import AssetRequest
-from prtbake_storage.contract.settings import (
-    CompressSettings,
-    FitLightSettings,
-    ValidateSettings,
-)
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import bake, compress, fit_light, render, tuning, validate
 from prtbake_workers.jobs.error_trail import (

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from prtbake_storage.contract.jobs import AssetRequest
-from prtbake_storage.contract.settings import FitLightSettings, Quality
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import Quality
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.search_stages import BAKE, Tried, is_late, numbered

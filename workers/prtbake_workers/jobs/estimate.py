@@ -19,10 +19,10 @@ from prtbake_storage.contract.jobs import (
     ValidateRequest,
     job_request_adapter,
 )
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.settings import (
     BakeSettings,
     CompressSettings,
-    FitLightSettings,
     RenderSettings,
     ValidateSettings,
 )

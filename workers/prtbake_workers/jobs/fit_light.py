@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.decode.light import FittedLight, LightFit
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.light import write_light

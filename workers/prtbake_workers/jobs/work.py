@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.rates import NewRates
-from prtbake_storage.contract.settings import FitLightSettings
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.planning.later_stages import (
     DEFAULT_TEXELS,

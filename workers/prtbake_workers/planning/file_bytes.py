@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.contract.settings import FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_workers.arrays import F64, I32
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.view_texture import (

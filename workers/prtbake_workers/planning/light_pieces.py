@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from math import ceil, pi, sqrt
 
-from prtbake_storage.contract.settings import BakeSettings, FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.decode.transfer_basis import SphericalHarmonics
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.environment.subdivision import COARSEST_RAD

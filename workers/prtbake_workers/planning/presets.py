@@ -14,6 +14,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import Field, ValidationError
 
+from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.settings import (
     MOST_CLUSTERS,
     OWNERS,
@@ -21,7 +22,6 @@ from prtbake_storage.contract.settings import (
     BakeSettings,
     CentreCount,
     CompressSettings,
-    FitLightSettings,
     Quality,
     RenderSettings,
     ValidateSettings,

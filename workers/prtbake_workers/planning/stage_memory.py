@@ -7,12 +7,8 @@ the stage cuts its work.
 from collections.abc import Sequence
 from typing import Literal
 
-from prtbake_storage.contract.settings import (
-    MEDIUM_PATHS,
-    FitLightSettings,
-    RenderSettings,
-    ValidateSettings,
-)
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import MEDIUM_PATHS, RenderSettings, ValidateSettings
 from prtbake_storage.decode.light import VALUES_AT_A_TIME
 from prtbake_storage.decode.transfer_basis import LIGHT_CHUNK
 from prtbake_workers.environment.fit.objective import SOLVED_AT_A_TIME

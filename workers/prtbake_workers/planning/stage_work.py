@@ -6,12 +6,8 @@ Each function gives the amounts of a stage, or of a part of one; those of parts 
 
 from collections.abc import Iterable, Sequence
 
-from prtbake_storage.contract.settings import (
-    MEDIUM_PATHS,
-    FitLightSettings,
-    RenderSettings,
-    ValidateSettings,
-)
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import MEDIUM_PATHS, RenderSettings, ValidateSettings
 from prtbake_workers.planning.light_pieces import FitSamples, projected_pieces
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.planning.rates import Amounts

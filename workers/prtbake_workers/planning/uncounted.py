@@ -1,6 +1,7 @@
 """Stages whose work goes by what they find: their counts are those of a mean scene."""
 
-from prtbake_storage.contract.settings import CompressSettings, FitLightSettings
+from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_workers.planning.expected_sizes import OFF_BY, VQ_OFF_BY
 
 

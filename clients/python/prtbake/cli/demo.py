@@ -14,6 +14,7 @@ from rich.table import Table
 
 from prtbake.cli.context import reporting, target_of
 from prtbake.cli.exits import exit_of
+from prtbake.cli.options import Quality as QualityOption
 from prtbake.cli.output import (
     Output,
     OutputOption,
@@ -26,7 +27,6 @@ from prtbake.cli.output import (
 )
 from prtbake.cli.progress import show
 from prtbake.cli.report import asset_bytes, print_result, total_error, total_seconds
-from prtbake.cli.requests import Quality as QualityOption
 from prtbake.cli.serve import raise_interrupt
 from prtbake.client import Client
 from prtbake.config import home

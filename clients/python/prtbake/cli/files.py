@@ -7,9 +7,9 @@ import typer
 
 from prtbake.cli.context import client_of
 from prtbake.cli.jobs import Job
+from prtbake.cli.options import CreaseAngle
 from prtbake.cli.output import Output, OutputOption, console, human_bytes, print_json
 from prtbake.cli.progress import TransferProgress
-from prtbake.cli.requests import CreaseAngle
 from prtbake.cli.sources import existing_file, naming
 from prtbake.errors import JobNotSucceeded, PrtbakeError
 from prtbake_storage.contract.jobs import JobState

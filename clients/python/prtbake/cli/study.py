@@ -5,7 +5,8 @@ from typing import Annotated, Any
 import typer
 
 from prtbake.cli.assignments import parse_value
-from prtbake.cli.requests import Label, Priority, Request, Timeout
+from prtbake.cli.options import Label, Priority, Timeout
+from prtbake.cli.requests import Request
 from prtbake.cli.sources import read_request
 from prtbake.client import Client
 
