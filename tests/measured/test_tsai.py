@@ -95,6 +95,9 @@ def test_statements_hold_only_where_they_do(tmp_path):
     assert statements(fewer_bytes)[1].holds
     text = page(good, [], "about", "machine")
     assert "| **error, SRBFs and CTA** | **1.4 %** | 3.64 % |" in text
+    assert "Not measured yet: teapot and buddha." in text
+    everything = [replace(good[0], model=name) for name in ("teapot", "buddha", "bunny")]
+    assert "Not measured" not in page(everything, [], "about", "machine")
     assert "does not hold" not in text
     assert "does not hold" in page([row(OWN, 11_000, 0.014)], [], "about", "machine")
     path = tmp_path / "t.csv"

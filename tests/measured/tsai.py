@@ -72,8 +72,7 @@ iterations.
 sixteen. `CTA, own ranks` has twelve and fewer of the other vectors, as many bytes in all, divided over the clusters by
 what ranks capture there. All-frequency CPCA has as many bytes as that row, and its components where they capture most,
 a cluster of a segment at a time; with even components it has as many in every cluster, as the paper does. It
-has the paper's eight view columns: with more, each of its means and components is longer; that was tried on parts of
-the teapot only.
+has the view columns of one row of CTA or the other, eight or twelve, those that leave less; so have wavelets.
 
 Theirs are the columns of their table 1. Their meshes of the bunny and the buddha have more vertices than those
 here; the teapot is tessellated to as many as theirs."""
@@ -159,10 +158,7 @@ def measure(model: Model, data: Path, quick: bool) -> tuple[list[Row], list[Basi
     del baked, compressed
     own = rows[-1]
     if model.compared:
-        rows += [
-            replace(own, **found)
-            for found in compare(sampled, views[0], own.nbytes, drawn, samples)
-        ]
+        rows += [replace(own, **found) for found in compare(sampled, views, own.nbytes, samples)]
     return rows, bases
 
 

@@ -171,6 +171,9 @@ def page(rows: Sequence[Row], bases: Sequence[BasisRow], about: str, machine: st
         ),
         f"## Table 1\n\n{_table_1([row for row in rows if row.method in (CTA, OWN)])}",
     ]
+    lacking = [name for name in THEIRS if name not in {row.model for row in rows}]
+    if lacking:
+        sections.insert(1, f"Not measured yet: {' and '.join(lacking)}.")
     compared = {row.model for row in rows if row.method == CPCA}
     if compared:
         own = [row for row in rows if row.model in compared]
