@@ -1,30 +1,52 @@
-"""The page of budgets: what it says holds, and what it says does not."""
+"""The table and the page of budgets: what goes on, what holds, and what does not."""
 
 import pytest
 
-from measured.budgets import Kept, Met, page, statements
+from measured.budgets import NAMES, asked_of
+from measured.budgets_table import ERROR, TIME, Row, append_row, page, read_rows, statements
 
-GOOD = [Met("a ball", 0.1, share, 1000, 5.0) for share in (0.061, 0.08, 0.099)]
-IN_TIME = [Kept("a ball", 30.0, 32.9, "quality low"), Kept("a ball", 1.0, 3.0, "refused")]
+GOOD = [Row("ball", ERROR, 0.1, error, 1000, 5.0, "as asked") for error in (0.061, 0.08, 0.099)]
+IN_TIME = [
+    Row("ball", TIME, 30.0, None, 900, 32.9, "quality low"),
+    Row("ball", TIME, 1.0, None, 0, 3.0, "refused"),
+]
 
 
 def test_promises_that_are_kept_are_told_as_kept():
-    assert all(holds for holds, _ in statements(GOOD, IN_TIME))
-    text = page(GOOD, IN_TIME, "Measured here.")
+    assert all(holds for holds, _ in statements([*GOOD, *IN_TIME]))
+    text = page([*GOOD, *IN_TIME], about="Jobs.", machine="Measured here.")
     assert "does not hold" not in text
-    assert "| a ball | 10 % | 6.1 % | 0.61 | 1 kB | 5 |" in text
+    assert "| ball | 10 % | 6.1 % | 0.61 | 1 kB | 5 |" in text
 
 
 @pytest.mark.parametrize(
-    ("met", "kept", "broken"),
+    ("rows", "broken"),
     [
-        ([*GOOD, Met("a ball", 0.1, 0.1001, 1000, 5.0)], IN_TIME, 0),
-        ([*GOOD[:2], Met("a ball", 0.1, 0.059, 1000, 5.0)], IN_TIME, 1),
-        ([*GOOD[:2], Met("a ball", 0.1, None, 0, 5.0, "cannot be met")], IN_TIME, 1),
-        (GOOD, [Kept("a ball", 30.0, 33.1, "quality low")], 2),
+        ([*GOOD, Row("ball", ERROR, 0.1, 0.1001, 1000, 5.0), *IN_TIME], 0),
+        ([*GOOD[:2], Row("ball", ERROR, 0.1, 0.059, 1000, 5.0), *IN_TIME], 1),
+        ([*GOOD[:2], Row("ball", ERROR, 0.1, None, 0, 5.0, "cannot be met"), *IN_TIME], 1),
+        ([*GOOD, Row("ball", TIME, 30.0, None, 900, 33.1, "quality low")], 2),
     ],
 )
-def test_the_promise_that_is_broken_is_told(met, kept, broken):
-    failed = [index for index, (holds, _) in enumerate(statements(met, kept)) if not holds]
+def test_the_promise_that_is_broken_is_told(rows, broken):
+    failed = [index for index, (holds, _) in enumerate(statements(rows)) if not holds]
     assert failed == [broken]
-    assert page(met, kept, "").count("does not hold") == 1
+    assert page(rows, about="", machine="").count("does not hold") == 1
+
+
+def test_the_table_goes_on_where_it_was_left(tmp_path):
+    path = tmp_path / "budgets.csv"
+    assert read_rows(path) == []
+    rows = [GOOD[0], Row("ball", ERROR, 0.01, None, 0, 5.0, 'no, "never"'), IN_TIME[0]]
+    for row in rows:
+        append_row(path, row)
+    assert read_rows(path) == rows
+    assert [row.key for row in rows] == [
+        ("ball", ERROR, 0.1), ("ball", ERROR, 0.01), ("ball", TIME, 30.0),
+    ]  # fmt: skip
+
+
+def test_there_are_forty_errors_and_twenty_times():
+    keys = [key for name in NAMES for key in asked_of(name, quick=False)]
+    assert len(set(keys)) == len(keys)
+    assert [sum(key[1] == what for key in keys) for what in (ERROR, TIME)] == [40, 20]
