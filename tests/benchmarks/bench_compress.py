@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from prtbake_workers.compress.cpca import compress_cpca
-from prtbake_workers.compress.cta import INITIAL_ITERATIONS, CtaRanks, compress_cta
+from prtbake_workers.compress.cta import CtaRanks, compress_cta
+from prtbake_workers.compress.cta_fit import INITIAL_ITERATIONS
 from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.view_basis import initial_view_basis, project_view
 from synthetic_transfer import synthetic_transfer
