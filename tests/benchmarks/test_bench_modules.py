@@ -1,4 +1,4 @@
-"""`make bench` runs none of the tests and no test runs it: at least what it imports is there."""
+"""No test runs `make bench`: at least what its scripts import is there."""
 
 import importlib
 from pathlib import Path
