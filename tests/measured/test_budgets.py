@@ -1,9 +1,15 @@
 """The table and the page of budgets: what goes on, what holds, and what does not."""
 
+import time
+
 import pytest
 
-from measured.budgets import NAMES, asked_of
+from measured.budgets import NAMES, asked_of, so_far
 from measured.budgets_table import ERROR, TIME, Row, append_row, page, read_rows, statements
+from prtbake_storage.blobs.opening import open_store
+from prtbake_storage.queue.stages import Results, Stage
+from prtbake_workers.jobs import clock
+from support.local_stages import run_stage
 
 GOOD = [Row("ball", ERROR, 0.1, error, 1000, 5.0, "as asked") for error in (0.061, 0.08, 0.099)]
 IN_TIME = [
@@ -50,3 +56,19 @@ def test_there_are_forty_errors_and_twenty_times():
     keys = [key for name in NAMES for key in asked_of(name, quick=False)]
     assert len(set(keys)) == len(keys)
     assert [sum(key[1] == what for key in keys) for what in (ERROR, TIME)] == [40, 20]
+
+
+def test_the_page_says_how_much_of_it_is_there():
+    known = [Row(*key, 0.1, 1000, 5.0) for key in asked_of("spot", quick=False)]
+    assert so_far([*known, *GOOD]).startswith(f"{len(known)} of 60 ")
+
+
+def test_shared_tasks_run_once_and_take_what_they_took(tmp_path):
+    """The clock's answer is another one every time that it is asked."""
+    store, results = open_store((tmp_path / "blobs").as_uri()), Results()
+    task = clock.task(time.time(), "here")
+    for name, shared in (("a", True), ("b", True), ("c", False)):
+        stage = Stage(name, "", 1.0, lambda _: [task])
+        run_stage(stage, results, store, shared=(task.function,) if shared else ())
+    assert results["a"] == results["b"] != results["c"]
+    assert results.measured("b")[0].seconds >= results.measured("a")[0].seconds > 0.0

@@ -3,7 +3,7 @@
 import importlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from prtbake_storage.blobs.base import BlobStore
@@ -14,14 +14,20 @@ from prtbake_workers.jobs import register
 SHARED = "prtbake_workers.jobs.fit_light:fit"
 """Jobs of one store and sky have this task in common: what it left is taken up, not made anew."""
 
-_left: dict[tuple[str, str, str], Any] = {}
+_left: dict[tuple[str, str, str], tuple[Any, float]] = {}
 
 
-def run_stages(stages: list[Stage], store: BlobStore) -> Results:
-    """Run every task of every stage in order; arguments and results pass through JSON."""
+def run_stages(
+    stages: list[Stage], store: BlobStore, shared: Collection[str] = (SHARED,)
+) -> Results:
+    """Run every task of every stage in order; arguments and results pass through JSON.
+
+    Functions that are ``shared`` run once for the same arguments in one store.  Measured of such a
+    task again is what it took when it ran, but for `SHARED`, which counts as free.
+    """
     results = Results()
     for stage in stages:
-        run_stage(stage, results, store)
+        run_stage(stage, results, store, shared=shared)
     return results
 
 
@@ -30,16 +36,17 @@ def run_stage(
     results: Results,
     store: BlobStore,
     clock: Callable[[], float] = time.perf_counter,
+    shared: Collection[str] = (SHARED,),
 ) -> None:
     """Run the tasks of one stage and enter what they returned and how long they took."""
     for tasks in stage.lists(results):
-        values, measured = _run(tasks, store, clock)
+        values, measured = _run(tasks, store, clock, shared)
         add = results.add if stage.rounds is None else results.add_round
         add(stage.name, values, measured)
 
 
 def _run(
-    tasks: list[Task], store: BlobStore, clock: Callable[[], float]
+    tasks: list[Task], store: BlobStore, clock: Callable[[], float], shared: Collection[str]
 ) -> tuple[list[dict[str, Any]], list[Measured]]:
     values, measured = [], []
     for task in tasks:
@@ -47,16 +54,18 @@ def _run(
         function = getattr(importlib.import_module(module), name)
         given = json.dumps(task.args)
         began = clock()
-        left = _left.get((store.url, task.function, given))
+        key = store.url, task.function, given
+        left, before = _left.get(key, (None, 0.0)) if task.function in shared else (None, 0.0)
         if left is None:
             with store.scratch() as scratch:
                 value = function(json.loads(given), TaskContext(store, scratch, lambda _: None))
             # as a worker's child sends it: NaN and infinity are no JSON
             left = json.dumps(value, allow_nan=False)
-        if task.function == SHARED:
-            _left[store.url, task.function, given] = left
+        seconds = clock() - began
+        if task.function in shared:
+            _left.setdefault(key, (left, 0.0 if task.function == SHARED else seconds))
         values.append(json.loads(left))
-        measured.append(Measured(clock() - began, 1))
+        measured.append(Measured(seconds + before, 1))
     return values, measured
 
 
