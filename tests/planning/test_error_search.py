@@ -64,6 +64,11 @@ def test_more_spread_aims_no_higher(one, other):
     assert SHARES[0] <= share_to_aim_at(high) <= share_to_aim_at(low) <= SHARES[1]
 
 
+def test_views_that_differ_much_waste_no_more_than_four_tenths_of_the_target():
+    """At the window's lower end, and where held-out views err by a tenth less than tuning views."""
+    assert 0.9 * WINDOW[0] * share_to_aim_at(inf) > 0.6
+
+
 def test_lines_scale_as_their_settings_say_and_interpolation_stays():
     """162 to 642 functions, spacing of directions by 4, a quarter of the terms' energy."""
     own, other = predicted_errors(0.1, LINES, [COARSE, FINE])
