@@ -25,8 +25,8 @@ SPREAD_COUNTED = 1.4
 SHARES = (0.75, 0.85)
 """Least and largest share of the target that is aimed at.
 
-Half of the noise counts, so that pictures err by 0.84 to 0.97 of what tuning views showed (counted
-on four assets of a sphere on a plane and of Spot).
+Held-out views of four assets, a sphere on a plane and Spot, erred by 0.84 to 0.97 of what tuning
+views showed; the half of the noise that counts is only part of that.
 """
 
 EASY = 0.75
