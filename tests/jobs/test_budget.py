@@ -269,3 +269,17 @@ def test_a_search_that_is_out_of_time_with_nothing_fails_by_the_time(met):
     with pytest.raises(SettingsError, match=r"are too few for an error of 25\.00%") as raised:
         stages["fit_light 1"].tasks(late)
     assert raised.value.pointer == "/budget/max_seconds"
+
+
+def test_an_error_and_a_time_need_no_settings_of_the_validation(store):
+    """Its samples are not known before the first measurement, and tasks before it leave too."""
+    settings = LEFT_OPEN | {"validation": {"width": 32, "height": 24}}
+    request = normal({"max_error": TARGET, "max_seconds": 6e5}, settings=settings)
+    context = begun(store, request)
+    stages = {stage.name: stage for stage in REGISTRY.stages("asset", request, context)}
+    results = Results()
+    run_stage(stages["plan 1"], results, store)
+    tasks = stages["bake 1"].tasks(results)
+    assert tasks
+    ends = context["started"] + 6e5
+    assert all(context["started"] < task.args["when"] < ends for task in tasks)

@@ -271,7 +271,9 @@ class ErrorSearch:
     def _validate_settings(self, results: Results, trail: Trail) -> ValidateSettings:
         """Give the validation samples enough for an error of this size, unless they are given."""
         settings = self.rungs[trail.rungs[-1]].settings.validation
-        if {"samples", "passes"} & set(self.parsed.settings.validation):
+        given = {"samples", "passes"} & set(self.parsed.settings.validation)
+        # before the first measurement nothing tells how many are needed
+        if given or not trail.transfers:
             return settings
         views = views_of(results, "measure 1") or []
         n_samples = tuning.PASSES * sum(view["samples"] for view in views) / max(len(views), 1)
