@@ -283,3 +283,18 @@ def test_an_error_and_a_time_need_no_settings_of_the_validation(store):
     assert tasks
     ends = context["started"] + 6e5
     assert all(context["started"] < task.args["when"] < ends for task in tasks)
+
+
+@pytest.mark.parametrize("budget", [{"max_error": TARGET}, {"max_seconds": 6e5}])
+def test_steps_that_tasks_would_share_are_made_by_one(store, budget):
+    """Attempts have no rounds: a share of a step would be taken for the factors."""
+    own = {"method": "cta", "n_clusters": 4, "max_iterations": 1, "step_tasks": 2}
+    request = normal(budget, settings=LEFT_OPEN | {"compress": own}, effects=NO_BOUNCES)
+    results = Results()
+    for stage in REGISTRY.stages("asset", request, begun(store, request)):
+        run_stage(stage, results, store)
+        if stage.name == "quantise 1":
+            break
+    (made,) = results["compress 1"]
+    assert "factors" in made.get("attempted", made)
+    assert results["quantise 1"][0]["asset"]

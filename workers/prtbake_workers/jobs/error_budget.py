@@ -34,6 +34,7 @@ from prtbake_workers.jobs.search_stages import (
     is_late,
     limit,
     numbered,
+    unshared,
     view,
     wall_seconds,
 )
@@ -177,8 +178,7 @@ class ErrorSearch:
     def _compress_stages(self, attempt: int, phase: str) -> list[Stage]:
         def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:
             own = self._baked(results)
-            parts = own["plan"][0]["plan"]["parts"]
-            return own["join"][0]["transfer"], [part["compression"] for part in parts]
+            return own["join"][0]["transfer"], unshared(own["plan"][0]["plan"])
 
         def own_stages(results: Results) -> list[Stage] | None:
             trail = self._decisions.trail(results)

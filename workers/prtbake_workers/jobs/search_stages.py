@@ -40,6 +40,11 @@ def attempt_view(results: Results, attempt: int, names: Iterable[str] = BAKE) ->
     return view(results, {name: numbered(name, attempt) for name in names})
 
 
+def unshared(planned: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Give the compression of each part, its steps in one task: an attempt has no rounds."""
+    return [part["compression"] | {"tasks": 1} for part in planned["parts"]]
+
+
 def is_late(results: Results) -> bool:
     """Tell whether a task of these left because its time was out."""
     return any(value.get("late") for name in results for value in results[name])

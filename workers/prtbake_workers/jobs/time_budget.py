@@ -24,6 +24,7 @@ from prtbake_workers.jobs.search_stages import (
     limit,
     numbered,
     seconds_of,
+    unshared,
     view,
     wall_seconds,
 )
@@ -254,8 +255,7 @@ class TimeSearch:
         """Give the stages of a step, as they are of any asset."""
 
         def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:
-            parts = results["plan"][0]["plan"]["parts"]
-            return results["join"][0]["transfer"], [part["compression"] for part in parts]
+            return results["join"][0]["transfer"], unshared(results["plan"][0]["plan"])
 
         settings, seed = self._ladder[step][1], self._parsed.seed
         later = [
