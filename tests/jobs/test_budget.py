@@ -1,5 +1,6 @@
 """Assets with a budget through the real stages, in this process: what is tried, and what is left."""
 
+import copy
 import json
 import time
 
@@ -298,3 +299,31 @@ def test_steps_that_tasks_would_share_are_made_by_one(store, budget):
     (made,) = results["compress 1"]
     assert "factors" in made.get("attempted", made)
     assert results["quantise 1"][0]["asset"]
+
+
+def until_held_out(results, names):
+    """The results up to the first validation, whose views err by more than they did."""
+    cameras = copy.deepcopy(results["validate 1"])
+    views = [view for camera in cameras for view in camera["views"]]
+    scale = 1.04 * TARGET / pooled_budget(views)["total"]
+    for view in views:
+        view["budget"]["total"] *= scale
+    held = Results()
+    for name in names[: names.index("validate 1") + 1]:
+        values = cameras if name == "validate 1" else results[name]
+        held.add(name, values, results.measured(name))
+    return held
+
+
+def test_a_mend_that_runs_late_is_refused_by_the_time(met):
+    request, context, results, _ = met
+    pressed = request | {"budget": request["budget"] | {"max_seconds": 6e5}}
+    listed = REGISTRY.stages("asset", pressed, context)
+    stages = {stage.name: stage for stage in listed}
+    held = until_held_out(results, list(stages))
+    mends = stages["compress 5"].tasks(held)
+    assert len(mends) == 1
+    held.add("compress 5", [deadline.LATE], results.measured("plan 1")[:1])
+    with pytest.raises(SettingsError, match=r"held-out views err by 26\.00%") as raised:
+        stages["quantise 5"].tasks(held)
+    assert raised.value.pointer == "/budget/max_seconds"

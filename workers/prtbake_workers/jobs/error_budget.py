@@ -20,7 +20,6 @@ from prtbake_workers.jobs.error_trail import (
     ErrorDecisions,
     Trail,
     done,
-    held_out,
     refusal,
     views_of,
 )
@@ -31,7 +30,6 @@ from prtbake_workers.jobs.search_stages import (
     Tried,
     attempt_view,
     check_least,
-    is_late,
     limit,
     numbered,
     unshared,
@@ -229,9 +227,6 @@ class ErrorSearch:
             trail = self._decisions.trail(results)
             if trail.stage != ("validate", "mend")[attempt]:
                 return []
-            if attempt == 1 and is_late(results):
-                found = held_out(results, "validate 1") or 0.0
-                self._decisions.refuse(found, "held-out views", trail)
             at = trail.delivered if attempt == 0 else MENDED
             quantised = results[numbered("quantise", at or 0)][0]
             inputs = {

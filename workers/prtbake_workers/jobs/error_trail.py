@@ -239,6 +239,13 @@ class ErrorDecisions:
         if mended is None:
             self.refuse(total, "held-out views", trail)
             return
+        if is_late(results):
+            raise SettingsError(
+                f"{self.budget.max_seconds or 0.0:g} s are too few for an error of "
+                f"{self.target:.2%}: held-out views err by {total:.2%}, and there was no time "
+                "left to compress less",
+                pointer="/budget/max_seconds",
+            )
         place = next(at for at, one in reversed(list(enumerate(trail.tried))) if one.taken)
         trail.tried[place] = replace(
             trail.tried[place], taken=False, why=f"errs by {total:.2%} at held-out views"
