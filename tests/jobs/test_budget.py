@@ -257,6 +257,11 @@ def test_a_search_that_is_out_of_time_delivers_what_meets_the_error(met, store):
     assert finished.result["budget"]["total"] <= TARGET
     taken = [one for one in finished.result["search"]["attempts"] if one["taken"]]
     assert taken[-1]["error"] <= WINDOW[1] * finished.result["search"]["aim"]
+    # the settings are those of what is delivered, not of what was tried last
+    files = {file.name: file.digest for file in finished.artefacts}
+    told = json.loads(store.read_bytes(files["report.json"]))["settings"]["compress"]["max_error"]
+    assert told == read_asset(store.local_path(files["asset.h5"])).provenance["compress"]["max_error"]
+    assert float(taken[-1]["name"].split()[-1]) == pytest.approx(told, rel=1e-2)
 
 
 def test_a_search_that_is_out_of_time_with_nothing_fails_by_the_time(met):

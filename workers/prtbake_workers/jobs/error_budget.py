@@ -184,7 +184,9 @@ class ErrorSearch:
             if trail.stage != phase or number != attempt:
                 return None
             return compress.stages(
-                lambda _: planned(results), self._compression(trail), self.parsed.seed
+                lambda _: planned(results),
+                self._compression(trail, trail.asked[-1]),
+                self.parsed.seed,
             )
 
         def parts(results: Results) -> list[Task]:
@@ -259,9 +261,9 @@ class ErrorSearch:
         (stage,) = fit_light.stages(self._environment, settings, self.parsed.seed)
         return stage.tasks(Results())
 
-    def _compression(self, trail: Trail) -> CompressSettings:
+    def _compression(self, trail: Trail, max_error: float) -> CompressSettings:
         own = self.rungs[trail.rungs[-1]].settings.compress
-        return CompressSettings.model_validate(own.model_dump() | {"max_error": trail.asked[-1]})
+        return CompressSettings.model_validate(own.model_dump() | {"max_error": max_error})
 
     def _validate_settings(self, results: Results, trail: Trail) -> ValidateSettings:
         """Give the validation samples enough for an error of this size, unless they are given."""
@@ -331,8 +333,11 @@ class ErrorSearch:
     def _as_delivered(self, planned: dict[str, Any], trail: Trail) -> dict[str, Any]:
         """Enter what was found into the settings that the report shows."""
         light = self.lights[trail.lights[-1]]
+        at = trail.delivered
+        # the last that was asked for may have been left; a mended one is the last
+        asked = trail.asked[-1] if at in (None, MENDED) else trail.compressed[at][0]
         settings = planned["settings"] | {
-            "compress": self._compression(trail).model_dump(mode="json"),
+            "compress": self._compression(trail, asked).model_dump(mode="json"),
             "fit_light": light.model_dump(mode="json"),
         }
         return planned | {"settings": settings}
