@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.jobs import DECIDED_BY_ERROR, job_request_adapter
+from prtbake_storage.contract.jobs import DECIDED_BY_EITHER, DECIDED_BY_ERROR, job_request_adapter
 
 ASSET = {
     "kind": "asset",
@@ -70,6 +70,17 @@ def test_settings_that_an_error_decides_are_refused_by_name(stage, name):
     assert f"budget.max_error chooses {stage}.{name}" in why
     # a time decides nothing of the kind
     assert request(budget={"max_seconds": 60.0}, settings=settings).settings
+
+
+@pytest.mark.parametrize("budget", [{"max_error": 0.05}, {"max_seconds": 60.0}])
+@pytest.mark.parametrize(("stage", "name"), DECIDED_BY_EITHER)
+def test_seconds_of_a_stage_are_refused_beside_any_budget(budget, stage, name):
+    settings = {stage: {name: 30.0}}
+    where, why = refusal(budget=budget, settings=settings)
+    assert where == ("asset", "settings")
+    assert f"the budget chooses {stage}.{name}" in why
+    # a quality has no search
+    assert request(quality="low", settings=settings).settings
 
 
 def test_eight_bits_are_refused_beside_an_error():

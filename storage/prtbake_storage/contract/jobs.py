@@ -176,8 +176,15 @@ DECIDED_BY_ERROR = (
     ("compress", "max_quantisation_error"),
     ("fit_light", "n_lobes"),
     ("fit_light", "max_error"),
+    ("fit_light", "max_bytes"),
 )
 """Settings that a budget's error takes the place of: stage and name."""
+
+DECIDED_BY_EITHER = (
+    ("compress", "max_seconds"),
+    ("fit_light", "max_seconds"),
+)
+"""Those that any budget does: a search counts on stages that end with what they were asked for."""
 
 
 class AssetRequest(_SceneRequest, _LitRequest):
@@ -206,7 +213,12 @@ class AssetRequest(_SceneRequest, _LitRequest):
     def _not_the_budgets(cls, settings: AssetSettings, info: ValidationInfo) -> AssetSettings:
         """Refuse settings that would decide what the budget decides."""
         budget = info.data.get("budget")
-        if budget is None or budget.max_error is None:
+        if budget is None:
+            return settings
+        for stage, name in DECIDED_BY_EITHER:
+            if getattr(settings, stage).get(name) is not None:
+                raise ValueError(f"the budget chooses {stage}.{name}: give one of them")
+        if budget.max_error is None:
             return settings
         for stage, name in DECIDED_BY_ERROR:
             if getattr(settings, stage).get(name) is not None:

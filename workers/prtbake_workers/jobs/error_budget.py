@@ -335,7 +335,7 @@ class ErrorSearch:
         light = self.lights[trail.lights[-1]]
         at = trail.delivered
         # the last that was asked for may have been left; a mended one is the last
-        asked = trail.asked[-1] if at in (None, MENDED) else trail.compressed[at][0]
+        asked = trail.asked[-1] if at is None or at == MENDED else trail.compressed[at][0]
         settings = planned["settings"] | {
             "compress": self._compression(trail, asked).model_dump(mode="json"),
             "fit_light": light.model_dump(mode="json"),
