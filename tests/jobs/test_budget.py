@@ -2,6 +2,7 @@
 
 import copy
 import json
+import signal
 import time
 
 import numpy as np
@@ -12,8 +13,9 @@ from prtbake_storage.contract.settings import Camera, ValidateSettings
 from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
+from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.jobs import clock, deadline, tuning
+from prtbake_workers.jobs import clock, leaving, tuning
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
@@ -164,7 +166,7 @@ def test_an_attempt_that_runs_late_is_given_up_and_the_one_before_delivered(time
     while not left[0].name.startswith("bake 2"):
         name = left.pop(0).name
         late.add(name, results[name], results.measured(name))
-    late.add("bake 2", [deadline.LATE], results.measured("bake 2"))
+    late.add("bake 2", [leaving.LATE], results.measured("bake 2"))
     for stage in left[1:]:
         run_stage(stage, late, store)
     finished = REGISTRY.finish("asset", request, context, late)
@@ -184,7 +186,7 @@ def test_tasks_leave_when_their_time_is_out(store):
     run_stage(
         limit(Stage("a", "", 1.0, lambda _: stage.tasks(Results())), lambda _: 0.0), results, store
     )
-    assert results["a"] == [deadline.LATE]
+    assert results["a"] == [leaving.LATE]
     began = time.time()
 
     def napping(_):
@@ -192,6 +194,38 @@ def test_tasks_leave_when_their_time_is_out(store):
 
     run_stage(limit(Stage("b", "", 1.0, napping), lambda _: began + 60.0), results, store)
     assert results["b"][0]["elapsed"] >= 0.0
+
+
+class Stubborn:
+    """Swallows what is raised while it is dropped, as Python does in every finaliser."""
+
+    def __del__(self):
+        time.sleep(1.0)
+
+
+def drop_and_go_on(args, _):
+    """A task that is in a finaliser when its time is out, and then has a minute to do."""
+    stubborn = Stubborn()
+    del stubborn
+    for _ in range(600):
+        time.sleep(0.1)
+    return args
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_alarm_that_is_swallowed_comes_again(store, monkeypatch):
+    before = signal.getsignal(signal.SIGALRM)
+    monkeypatch.setattr(clock, "look", drop_and_go_on)
+    monkeypatch.setattr(leaving, "AGAIN_S", 0.2)
+    began = time.time()
+    args = {"function": "prtbake_workers.jobs.clock:look", "args": {}, "when": began + 0.3}
+    with store.scratch() as scratch:
+        context = TaskContext(store, scratch, lambda _: None)
+        assert leaving.run(args, context) == leaving.LATE
+    assert time.time() - began < 20.0
+    # neither alarm nor handler is left behind
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert signal.getsignal(signal.SIGALRM) == before
 
 
 def test_the_clock_tells_the_seconds_since_the_start(store):
@@ -248,7 +282,7 @@ def test_a_search_that_is_out_of_time_delivers_what_meets_the_error(met, store):
     cut = names.index(f"measure asset {last}")
     for name in names[:cut]:
         late.add(name, results[name], results.measured(name))
-    late.add(names[cut], [deadline.LATE], results.measured(names[cut])[:1])
+    late.add(names[cut], [leaving.LATE], results.measured(names[cut])[:1])
     before = [late.get(f"measure asset {at}") for at in range(1, last)]
     assert any(before)
     for stage in stages[cut + 1 :]:
@@ -269,7 +303,7 @@ def test_a_search_that_is_out_of_time_with_nothing_fails_by_the_time(met):
     late = Results()
     for name in ("plan 1", "bake 1", "scattering 1", "bounces 1", "add_bounces 1"):
         late.add(name, results[name], results.measured(name))
-    late.add("join 1", [deadline.LATE], results.measured("join 1"))
+    late.add("join 1", [leaving.LATE], results.measured("join 1"))
     pressed = request | {"budget": request["budget"] | {"max_seconds": 6e5}}
     stages = {stage.name: stage for stage in REGISTRY.stages("asset", pressed, context)}
     with pytest.raises(SettingsError, match=r"are too few for an error of 25\.00%") as raised:
@@ -306,6 +340,21 @@ def test_steps_that_tasks_would_share_are_made_by_one(store, budget):
     assert results["quantise 1"][0]["asset"]
 
 
+def test_a_black_reference_is_refused_as_one(met):
+    request, context, results, _ = met
+    black = Results()
+    stages = {stage.name: stage for stage in REGISTRY.stages("asset", request, context)}
+    for name in list(stages)[: list(stages).index("measure 1")]:
+        black.add(name, results[name], results.measured(name))
+    cameras = copy.deepcopy(results["measure 1"])
+    for view in (view for camera in cameras for view in camera["views"]):
+        view["squared_norm"] = view["variance"] = 0.0
+    black.add("measure 1", cameras, results.measured("measure 1"))
+    with pytest.raises(SettingsError, match="no tuning view shows light") as raised:
+        stages["compress 1"].tasks(black)
+    assert raised.value.pointer == "/budget/max_error"
+
+
 def until_held_out(results, names):
     """The results up to the first validation, whose views err by more than they did."""
     cameras = copy.deepcopy(results["validate 1"])
@@ -328,7 +377,7 @@ def test_a_mend_that_runs_late_is_refused_by_the_time(met):
     held = until_held_out(results, list(stages))
     mends = stages["compress 5"].tasks(held)
     assert len(mends) == 1
-    held.add("compress 5", [deadline.LATE], results.measured("plan 1")[:1])
+    held.add("compress 5", [leaving.LATE], results.measured("plan 1")[:1])
     with pytest.raises(SettingsError, match=r"held-out views err by 26\.00%") as raised:
         stages["quantise 5"].tasks(held)
     assert raised.value.pointer == "/budget/max_seconds"

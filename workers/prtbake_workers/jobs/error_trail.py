@@ -5,6 +5,7 @@ search stands follows from them.
 """
 
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from typing import Any, get_args
 
 from prtbake_storage.contract.jobs import AssetRequest
@@ -125,6 +126,12 @@ class ErrorDecisions:
             if views is None:
                 return False
             trail.transfers.append(pool(views, "transfer"))
+            if not isfinite(trail.transfers[-1].error):
+                raise SettingsError(
+                    f"no error of {self.target:.2%} can be searched for: no tuning view shows "
+                    "light that it would be relative to",
+                    pointer="/budget/max_error",
+                )
             if attempt == 0:
                 trail.aim = self.target * share_to_aim_at(trail.transfers[0].spread)
                 lines = pooled_lines(views)

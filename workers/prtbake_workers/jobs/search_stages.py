@@ -10,7 +10,7 @@ from typing import Any
 
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
-from prtbake_workers.jobs import deadline
+from prtbake_workers.jobs import leaving
 from prtbake_workers.jobs.work import rates_of
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 
@@ -56,7 +56,7 @@ def limit(stage: Stage, until: Callable[[Results], float | None]) -> Stage:
     def tasks(results: Results) -> list[Task]:
         listed = stage.tasks(results)
         when = until(results) if listed else None
-        return listed if when is None else [deadline.until(task, when) for task in listed]
+        return listed if when is None else [leaving.until(task, when) for task in listed]
 
     return replace(stage, tasks=tasks)
 

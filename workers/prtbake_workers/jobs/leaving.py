@@ -3,8 +3,6 @@
 import importlib
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from types import FrameType
 from typing import Any
@@ -12,10 +10,13 @@ from typing import Any
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
 
-_MODULE = "prtbake_workers.jobs.deadline"
+_MODULE = "prtbake_workers.jobs.leaving"
 _PACKAGE = "prtbake_workers.jobs."
 LATE = {"late": True}
 """The result of a task that left."""
+
+AGAIN_S = 1.0
+"""Between two alarms, once the time is out."""
 
 
 class _TooLate(BaseException):
@@ -37,28 +38,26 @@ def run(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     if not module.startswith(_PACKAGE):
         raise ValueError(f"{args['function']} is no task of a job")
     function = getattr(importlib.import_module(module), name)
-    try:
-        with _alarm(args["when"]):
-            done: dict[str, Any] = function(args["args"], context)
-            return done
-    except _TooLate:
-        return dict(LATE)
-
-
-@contextmanager
-def _alarm(when: float) -> Iterator[None]:
-    """Raise `_TooLate` in this thread at ``when``."""
-    left = when - time.time()
+    left = args["when"] - time.time()
     if left <= 0.0:
-        raise _TooLate
+        return dict(LATE)
+    over = False
 
     def late(_number: int, _frame: FrameType | None) -> None:
-        raise _TooLate
+        if not over:
+            raise _TooLate
 
     before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, left)
     try:
-        yield
+        try:
+            # again and again: code that Python cannot leave, as a finaliser, swallows the first
+            signal.setitimer(signal.ITIMER_REAL, left, AGAIN_S)
+            done: dict[str, Any] = function(args["args"], context)
+            return done
+        finally:
+            over = True
+    except _TooLate:
+        return dict(LATE)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
