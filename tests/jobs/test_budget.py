@@ -112,6 +112,12 @@ def test_what_is_delivered_is_the_attempt_that_was_taken(met, store):
     assert "max_error 0.25" in page
     report = json.loads(store.read_bytes(files["report.json"]))
     assert report["search"]["budget"] == request["budget"]
+    # it has a place on the frontier, beside another bake with its light and compression
+    own, (step,) = report["frontier"]["asset"], report["frontier"]["steps"]
+    assert own["error"] == finished.result["budget"]["total"]
+    assert step["quality"] == "low"
+    assert step["lines"]["light fit"] == own["lines"]["light fit"]
+    assert step["lines"]["compression"] == own["lines"]["compression"] > 0.0
     # what was left has cost something too
     spent = sum(
         cost.seconds for name in results for cost in results.measured(name) if name != "report"
@@ -147,14 +153,19 @@ def timed(store):
     return request, context, results, REGISTRY.finish("asset", request, context, results)
 
 
-def test_the_best_step_that_time_allows_is_delivered(timed):
+def test_the_best_step_that_time_allows_is_delivered(timed, store):
     *_, finished = timed
     attempts = finished.result["search"]["attempts"]
     assert attempts[0]["name"] == "quality draft"
     assert [one["taken"] for one in attempts] == [False] * (len(attempts) - 1) + [True]
     assert len(attempts) > 1
     assert finished.result["metrics"]
-    assert {file.name for file in finished.artefacts} >= {"asset.h5", "report.html"}
+    files = {file.name: file.digest for file in finished.artefacts}
+    assert set(files) >= {"asset.h5", "report.html"}
+    beside = json.loads(store.read_bytes(files["report.json"]))["frontier"]["steps"]
+    made = attempts[-1]["name"].split()[-1]
+    assert beside
+    assert made not in [step["quality"] for step in beside]
 
 
 def test_an_attempt_that_runs_late_is_given_up_and_the_one_before_delivered(timed, store):

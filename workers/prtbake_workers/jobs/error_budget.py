@@ -340,4 +340,17 @@ class ErrorSearch:
             "compress": self._compression(trail, asked).model_dump(mode="json"),
             "fit_light": light.model_dump(mode="json"),
         }
-        return planned | {"settings": settings}
+        # beside it stand other bakes, with the light and the error of compression that were found
+        found = {"light", "compression"}
+        ladder = [
+            step
+            | {
+                "error_factors": {
+                    kind: factor
+                    for kind, factor in step["error_factors"].items()
+                    if kind not in found
+                }
+            }
+            for step in planned["plan"]["ladder"]
+        ]
+        return planned | {"settings": settings, "plan": planned["plan"] | {"ladder": ladder}}

@@ -88,19 +88,20 @@ def arguments(
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
         "quality": quality,
-        "steps": _steps(request),
+        "steps": _steps(request, quality),
         "seed": request.get("seed", 0),
     }
 
 
-def _steps(request: dict[str, Any]) -> dict[str, Any]:
-    """Give the settings of the qualities beside that of an asset."""
-    if request.get("quality") is None:
+def _steps(request: dict[str, Any], quality: Quality) -> dict[str, Any]:
+    """Give the settings of the qualities beside that of an asset, or of an attempt of a budget."""
+    own = quality if request.get("budget") is not None else request.get("quality")
+    if own is None:
         return {}
     overrides = AssetSettings.model_validate(request.get("settings", {}))
     return {
         quality: settings.to_dict()
-        for quality, settings in neighbours(request["quality"], overrides).items()
+        for quality, settings in neighbours(own, overrides).items()
     }
 
 
