@@ -15,6 +15,7 @@ import numpy as np
 
 from prtbake_storage.contract.settings import BakeSettings
 from prtbake_workers.planning.presets import PlannedBake
+from prtbake_workers.planning.step_errors import Resolution, line_factors
 
 NOISE_COUNTED = 0.5
 """Of the reference's variance: errors are held to be larger than they are, not smaller."""
@@ -51,7 +52,10 @@ LARGEST_ERROR, LEAST_ERROR = 0.5, 1e-7
 FIRST_SHARE = 0.5
 """Of a compression's squared error, that pictures are taken to show before one has told."""
 
-POWERS = (0.4, 2.5)
+KINDS = {"K terms": "terms", "visibility sampling": "visibility"}
+"""Of lines that the bake's settings decide, beside those of its basis."""
+
+POWER_RANGE = (0.4, 2.5)
 """Between which the power of a picture's squared error by the transfer's is believed."""
 
 LARGEST_STEP = 8.0
@@ -111,33 +115,22 @@ def share_to_aim_at(spread: float) -> float:
 def squared_scale(line: str, own: BakeSettings, other: BakeSettings) -> float:
     """Predict a line's squared error at other settings of the bake, over that at its own.
 
-    Errors of sampling and of the basis fall as the spacing of directions and functions; that of
-    interpolating between vertices stays.
+    By the powers that studies were fitted with (`line_factors`); other lines stay as they are.
     """
-    if line == "K terms":
-        return _ratio(other.term_energy_lost, own.term_energy_lost)
-    if line == "visibility sampling":
-        return _ratio(_across(own), _across(other)) ** 2
-    if line.endswith("basis"):
-        return _ratio(_functions(own), _functions(other))
-    if "bounces" in line or "scattering" in line:
-        return _ratio(own.bounce_rays, other.bounce_rays)
-    return 1.0
+    kind = "basis" if line.endswith("basis") else KINDS.get(line)
+    return 1.0 if kind is None else line_factors(_numbers(own), _numbers(other))[kind] ** 2
 
 
-def _ratio(top: float | int | None, bottom: float | int | None) -> float:
-    return top / bottom if top and bottom else 1.0
-
-
-def _across(bake: BakeSettings) -> float | None:
-    return (
-        None if bake.cube_resolution == "auto" else float(bake.cube_resolution * bake.supersample)
-    )
-
-
-def _functions(bake: BakeSettings) -> float | None:
-    return (
-        None if bake.open_numbers else float(PlannedBake.model_validate(bake.model_dump()).n_coeffs)
+def _numbers(bake: BakeSettings) -> Resolution:
+    """Give what decides the lines of a bake; 0 for what its plan is to choose."""
+    across = 0 if bake.cube_resolution == "auto" else bake.cube_resolution * bake.supersample
+    chosen = None if bake.open_numbers else PlannedBake.model_validate(bake.model_dump())
+    return Resolution(
+        energy_lost=bake.term_energy_lost or 0.0,
+        directions=6 * across**2,
+        functions=0 if chosen is None else chosen.n_coeffs,
+        light_functions=0,
+        vectors=0,
     )
 
 
@@ -293,7 +286,7 @@ def _by_power(tried: Sequence[Compression], base: float, wanted: float) -> float
         # of two that are close to what is wanted, the slope tells more than the distance
         (x0, y0), (x1, y1) = told[-2:]
         if abs(x1 - x0) > 1e-3:
-            power = min(max((y1 - y0) / (x1 - x0), POWERS[0]), POWERS[1])
+            power = min(max((y1 - y0) / (x1 - x0), POWER_RANGE[0]), POWER_RANGE[1])
     goal = log(max(wanted**2 - base**2, (0.05 * wanted) ** 2))
     step = min(max((goal - y) / power, -log(LARGEST_STEP)), log(LARGEST_STEP))
     return exp(x + step)
