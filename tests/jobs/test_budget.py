@@ -16,6 +16,7 @@ from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import clock, leaving, tuning
+from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
@@ -305,7 +306,9 @@ def test_a_search_that_is_out_of_time_delivers_what_meets_the_error(met, store):
     # the settings are those of what is delivered, not of what was tried last
     files = {file.name: file.digest for file in finished.artefacts}
     told = json.loads(store.read_bytes(files["report.json"]))["settings"]["compress"]["max_error"]
-    assert told == read_asset(store.local_path(files["asset.h5"])).provenance["compress"]["max_error"]
+    assert (
+        told == read_asset(store.local_path(files["asset.h5"])).provenance["compress"]["max_error"]
+    )
     assert float(taken[-1]["name"].split()[-1]) == pytest.approx(told, rel=1e-2)
 
 
@@ -392,3 +395,21 @@ def test_a_mend_that_runs_late_is_refused_by_the_time(met):
     with pytest.raises(SettingsError, match=r"held-out views err by 26\.00%") as raised:
         stages["quantise 5"].tasks(held)
     assert raised.value.pointer == "/budget/max_seconds"
+
+
+def test_numbers_left_to_a_trial_keep_the_search_low_and_it_says_so(timed):
+    """The results of a ladder that was not predicted: an open number has no plan of its own."""
+    request, context, results, _ = timed
+    first = Results()
+    for name in list(results)[: list(results).index("clock 1") + 1]:
+        values = results[name]
+        if name == "plan 1":
+            values = [values[0] | {"plan": values[0]["plan"] | {"ladder": []}}]
+        first.add(name, values, results.measured(name))
+    bake = LEFT_OPEN["bake"] | {"cube_resolution": "auto"}
+    opened = request | {"settings": request["settings"] | {"bake": bake}}
+    (only,) = search_of(opened, context).tried(first)
+    assert only.taken
+    assert "leaves cube_resolution of the bake to a trial" in only.why
+    (pinned,) = search_of(request, context).tried(first)
+    assert pinned.why == "nothing is above it"

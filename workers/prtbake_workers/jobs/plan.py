@@ -99,10 +99,7 @@ def _steps(request: dict[str, Any], quality: Quality) -> dict[str, Any]:
     if own is None:
         return {}
     overrides = AssetSettings.model_validate(request.get("settings", {}))
-    return {
-        quality: settings.to_dict()
-        for quality, settings in neighbours(own, overrides).items()
-    }
+    return {quality: settings.to_dict() for quality, settings in neighbours(own, overrides).items()}
 
 
 def task(args: dict[str, Any]) -> Task:

@@ -111,12 +111,21 @@ class TimeSearch:
             left = self._seconds - trail.elapsed
             chosen, least = choose_step(steps, step, trail.told, left)
             if chosen is None:
-                why = "nothing is above it" if least is None else self._too_long(least, left)
+                why = self._nothing_above(step) if least is None else self._too_long(least, left)
                 self._enter(trail, taken=True, why=why)
                 trail.over = True
                 return trail
             self._enter(trail, taken=False, why="there was time for a better one")
             trail.steps.append(chosen)
+
+    def _nothing_above(self, step: int) -> str:
+        above = [settings.bake.open_numbers for _, settings in self._ladder[step + 1 :]]
+        if not (names := sorted({name for own in above for name in own})):
+            return "nothing is above it"
+        return (
+            f"what is above it leaves {' and '.join(names)} of the bake to a trial, and its time "
+            "cannot be foretold: numbers in their place let the search climb"
+        )
 
     def _too_long(self, least: float, left: float) -> str:
         return f"a better one would take {least:.0f} s of the {left:.0f} s that were left"
