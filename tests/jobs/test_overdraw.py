@@ -20,6 +20,7 @@ from prtbake_storage.queue.stages import Results
 from prtbake_workers.basis.srbf import default_bandwidth
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.registry import brdf_from_spec
+from prtbake_workers.compress.superclusters import registers_of_clusters
 from prtbake_workers.geometry.frames import tangent_frames
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.jobs.compress import standalone_stages
@@ -172,3 +173,26 @@ def test_ranks_that_were_searched_are_held_against_registers_after_the_fit(store
     assert [stage.name for stage in stages] == ["plan", "compress"]
     with pytest.raises(SettingsError, match=r"registers is 2: cluster \d+ takes"):
         run_stages(stages, store)
+
+
+def test_registers_beside_bytes_hold_what_is_delivered(store, transfer):
+    """Ample factors take more registers than there are; what stays of them for the bytes does not."""
+
+    def run(**settings):
+        asked = CompressSettings(max_iterations=1, n_clusters=4, **{"method": "cpca"} | settings)
+        done = run_stages(standalone_stages(transfer, asked, 1), store)
+        (made,) = done["quantise"]
+        asset = read_asset(store.local_path(made["asset"]))
+        needs = [
+            int(registers_of_clusters(part.ranks, with_mean=part.means is not None).max())
+            for part in asset.parts
+        ]
+        return made["bytes"], max(needs)
+
+    free, need = run(max_bytes=60_000)
+    assert free <= 60_000
+    assert need > 20
+    # where bytes buy more than registers hold, registers decide
+    size, held = run(max_bytes=60_000, registers=6)
+    assert size < 0.9 * 60_000
+    assert held == 6

@@ -46,6 +46,16 @@ def test_too_few_registers_are_refused_with_the_part(method, max_error, need):
         assert refused.value.pointer == "/settings/compress/registers"
 
 
+def test_ranks_that_go_by_bytes_are_open():
+    plan = PartCompression(method="cta", n_clusters=5, ranks=(2, 6, 5), n_components=4)
+    settings = CompressSettings(method="cta", max_bytes=10**5, registers=1)
+    check_planned_registers(settings, "lid", plan, **SIZE)
+    with pytest.raises(SettingsError, match="takes 3"):
+        check_planned_registers(
+            settings.model_copy(update={"max_bytes": None}), "lid", plan, **SIZE
+        )
+
+
 def test_without_registers_nothing_is_refused():
     plan = PartCompression(method="cpca", n_clusters=5, ranks=(2, 6, 5), n_components=400)
     check_planned_registers(CompressSettings(), "lid", plan, **SIZE)

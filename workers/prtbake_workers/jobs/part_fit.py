@@ -65,7 +65,8 @@ def part_result(
     """Store a part's factors; return the result of a task that made them."""
     model, method = compressed.model, args["compression"]["method"]
     registers = (args.get("draws") or {}).get("registers")
-    if registers is not None:
+    # factors for a number of bytes are ample: what stays of them is held against registers later
+    if registers is not None and args.get("max_bytes") is None:
         # planning knows neither ranks that are searched nor those of adaptive classification
         with_mean = "means" in compressed.factors
         needs = registers_of_clusters(compressed.factors["ranks"], with_mean=with_mean)

@@ -38,6 +38,9 @@ FIRST = 1e-8
 STRIDE = log(64.0)
 """Of the distortion's logarithm, while sizes lie on one side of what is asked for only."""
 
+UNDRAWN = 2**62
+"""Stands for the bytes of a file whose clusters take more registers than there are."""
+
 COARSEST, FINEST = 1e3, 1e-24
 """Beyond which no column stays, and no number has fewer than 16 bits."""
 
@@ -97,7 +100,8 @@ def write_sized(
     Raises
     ------
     SettingsError
-        Mesh and tables alone take more; tells the least.
+        Mesh and tables alone take more, and tells the least; or ``finished`` refuses whatever is
+        left out.
     """
     asked = args["max_bytes"]
     areas = relative_areas(transfer)
@@ -105,7 +109,12 @@ def write_sized(
     def tried_at(distortion: float) -> _Try:
         found = [at_distortion(p, a, distortion) for p, a in zip(exact.parts, areas, strict=True)]
         parts, scales = tuple(part for part, _ in found), [own for _, own in found]
-        asset = finished(replace(exact, parts=parts))
+        try:
+            asset = finished(replace(exact, parts=parts))
+        except SettingsError:
+            if distortion >= COARSEST:
+                raise
+            return _Try(distortion, parts, scales, UNDRAWN)  # fewer columns take fewer registers
         size = asset_size(asset, bits=scales, errors=[0.0] * len(parts))
         return _Try(distortion, asset.parts, scales, size)
 
@@ -171,6 +180,7 @@ def _largest_below(tried_at: Callable[[float], _Try], aim: int, asked: int) -> _
             break
         # between the two, by size, and never close to either: sizes go in steps of columns
         share = (0.5 * (1.0 + NEAR) * aim - best.size) / (above.size - best.size)
+        share = 0.5 if above.size == UNDRAWN else share
         place = coarse + min(0.9, max(0.1, share)) * (fine - coarse)
     if best is None:
         least = tried_at(COARSEST).size

@@ -49,7 +49,7 @@ def check_planned_registers(
     """
     if settings.registers is None:
         return
-    ranks_open = settings.max_error is not None
+    ranks_open = settings.max_error is not None or settings.max_bytes is not None
     need = planned_registers(compression, n_verts=n_verts, n_terms=n_terms, ranks_open=ranks_open)
     if need > settings.registers:
         raise SettingsError(
