@@ -7,6 +7,8 @@ from prtbake_storage.errors import SettingsError
 from prtbake_workers.compress.cpca import METHODS, compress_cpca
 from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.compress.cta_adaptive import with_own_ranks
+from prtbake_workers.compress.cta_schedule import Schedule, Step
+from prtbake_workers.compress.lbg import lbg
 from prtbake_workers.compress.methods import Fit
 from prtbake_workers.compress.to_error import Scaled, compress_to_error
 from prtbake_workers.deadline import SLACK, Deadline, ends_by, time_for
@@ -96,3 +98,27 @@ def test_a_first_trial_that_meets_the_error_is_taken_without_more_time(glossy):
     with ends_by(Deadline(0.0)):
         found = compress_to_error("cta", glossy, sizes, Fit(seed=1, max_iterations=4), 0.1)
     assert 0.09 < found.model.squared_error_ratio <= 0.1
+
+
+@pytest.mark.parametrize(("last", "cut"), [(0.9, False), (0.5, True)])
+def test_a_fit_that_is_at_its_end_is_not_cut(last, cut):
+    """The second step wins nothing and is the last anyway, or enough for another."""
+    schedule, deadline = Schedule(1.0, max_iterations=1), Deadline(1e6)
+    with ends_by(deadline):
+        schedule.modelled([0.9])
+        schedule.seen()
+        assert not deadline.hit
+        deadline.kept = 1e9
+        schedule.modelled([last])
+    assert schedule.step is Step.END
+    assert deadline.hit == cut
+
+
+def test_the_last_iteration_of_a_clustering_cuts_nothing(diffuse):
+    signal, ones = diffuse.reshape(len(diffuse), -1), np.ones(len(diffuse))
+    for most, cut in ((1, False), (2, True)):
+        deadline = Deadline(0.0)
+        with ends_by(deadline):
+            found = lbg(signal, 5, rng=np.random.default_rng(1), weights=ones, max_iterations=most)
+        assert len(found.objective) == 1
+        assert deadline.hit == cut

@@ -67,7 +67,7 @@ class Schedule:
             self._approximations += 1
             ends = converged or self._approximations == APPROXIMATION_ITERATIONS
             self.step = Step.END if ends else Step.VIEW
-        if not self.trace.has_time():
+        if self.step is not Step.END and not self.trace.has_time():
             self.step = Step.END
 
     def moved(self, n_moved: int) -> None:

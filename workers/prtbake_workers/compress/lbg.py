@@ -150,7 +150,9 @@ def lbg(
             n_moved += improve(signal[:], state, weights)
         trace.append(float(weights @ state.squared_distances))
         progress((iteration + 1) / max_iterations, f"clustering, error {trace.ratio:.3%}")
-        if n_moved == 0 or trace.has_converged(tolerance) or not trace.has_time():
+        if n_moved == 0 or trace.has_converged(tolerance):
+            break
+        if iteration + 1 < max_iterations and not trace.has_time():
             break
     return LbgResult(state.labels, state.means, trace.values, state.squared_distances)
 
