@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.decode.relight import rotation_matrix
+from prtbake_storage.errors import SettingsError
 from prtbake_workers.environment.environment import LUMINANCE, Environment
 from prtbake_workers.environment.summing import AddedLight, sum_environments
 
@@ -64,3 +65,13 @@ def test_a_light_is_turned_by_itself():
     assert both.lookup(towards[None, :])[0] == pytest.approx([50.0] * 3, rel=1e-6)
     assert both.lookup(np.array([[0.0, 0.0, -1.0]]))[0] == pytest.approx([0.0] * 3)
     assert both.radiance[2, 5] == pytest.approx([7.0] * 3)
+
+
+def test_a_light_that_no_map_holds_is_named(rng):
+    bright = Environment(np.full((4, 8, 3), 1e34, np.float32))
+    added = [AddedLight(noise(rng, 8, 16)), AddedLight(bright, 1e3), AddedLight(bright, 1e6)]
+    with pytest.raises(SettingsError, match=r"scale 1e\+06 of light 1 makes") as refused:
+        sum_environments(added)
+    assert refused.value.pointer == "/lights/1/scale"
+    # the largest that float32 holds is no fault
+    assert np.isfinite(sum_environments(added[:2]).radiance).all()
