@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -265,6 +266,39 @@ def test_what_only_the_transfer_can_refuse(compression, store):
     request, context = study_of(base, {"settings.max_error": [1e-30]}, own, skip_illegal=True)
     with pytest.raises(SettingsError, match="no point can be run"):
         run_stages(REGISTRY.stages("study", request, context), store)
+
+
+def test_bytes_that_hold_no_lobe_are_left_out(ball, store):
+    body, own, _ = ball
+    base = {
+        "kind": "fit_light", "environment": body["environment"],
+        "settings": {"n_lobes": 4, "max_iterations": 1},
+    }  # fmt: skip
+    request, context = study_of(base, {"settings.max_bytes": [100, 5000]}, own, skip_illegal=True)
+    done = run_stages(REGISTRY.stages("study", request, context), store)
+    result = REGISTRY.finish("study", request, context, done).result
+    assert (result["points"], result["skipped"]) == (1, 1)
+    assert "a light of one lobe takes" in result["notes"][0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "n_lists"),
+    [
+        ({"method": "cpca", "max_error": 0.01}, 1),
+        ({"classification": "adaptive", "ranks": [2, 8, 4], "step_tasks": 2}, 5),
+    ],
+    ids=["one task", "shared steps"],
+)
+def test_registers_that_only_the_fit_can_refuse_are_left_out(compression, store, settings, n_lists):
+    base, own = compression
+    base = base | {"settings": base["settings"] | {"n_clusters": 6, **settings}}
+    axes = {"settings.registers": [2, 1000]}
+    request, context = study_of(base, axes, own, skip_illegal=True)
+    done = run_stages(REGISTRY.stages("study", request, context), store)
+    result = REGISTRY.finish("study", request, context, done).result
+    assert (result["points"], result["skipped"]) == (1, 1)
+    assert re.search(r"registers is 2: cluster \d+ takes", result["notes"][0])
+    assert len(done.rounds("compress")) >= n_lists
 
 
 def test_points_that_are_rounded_otherwise_share_their_factors(compression, store):

@@ -12,26 +12,43 @@ from typing import Any
 from prtbake_storage.errors import InputError, SettingsError
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Results, Round, Rounds, Stage, Task
-from prtbake_workers.jobs import compress, fit_light, plan
+from prtbake_workers.jobs import compress, cta_tiles, fit_light, plan
 
 _MODULE = "prtbake_workers.jobs.shared_stages"
 REFUSING = {
     "prtbake_workers.jobs.plan:plan": plan.plan,
     "prtbake_workers.jobs.compress:outline": compress.outline,
     "prtbake_workers.jobs.compress:compress_part": compress.compress_part,
+    "prtbake_workers.jobs.cta_tiles:finish": cta_tiles.finish,
     "prtbake_workers.jobs.compress:assemble": compress.assemble,
     "prtbake_workers.jobs.fit_light:fit": fit_light.fit,
 }
-"""Tasks that refuse what only the inputs tell to be illegal, as an error that no sizes meet.
+"""Tasks that refuse what only the inputs tell to be illegal, as an error that no sizes meet, or
+registers that no cluster fits.
 
 They run anew in a job of its own: planning, and the last of compression, which is quick, and what
-is `LONG` only where it is asked for an error.
+is `LONG` only where it is given what it may refuse.
 """
-LONG: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "prtbake_workers.jobs.compress:compress_part": lambda args: args["max_error"],
-    "prtbake_workers.jobs.fit_light:fit": lambda args: args["settings"].get("max_error"),
+
+
+def _registers(args: dict[str, Any]) -> bool:
+    return "registers" in (args.get("draws") or {})
+
+
+def _error_or_registers(args: dict[str, Any]) -> bool:
+    return args["max_error"] is not None or _registers(args)
+
+
+def _error_or_bytes(args: dict[str, Any]) -> bool:
+    return any(args["settings"].get(name) is not None for name in ("max_error", "max_bytes"))
+
+
+LONG: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "prtbake_workers.jobs.compress:compress_part": _error_or_registers,
+    "prtbake_workers.jobs.cta_tiles:finish": _registers,
+    "prtbake_workers.jobs.fit_light:fit": _error_or_bytes,
 }
-"""Of these, tasks that refuse nothing but an error, by what tells it from their arguments."""
+"""Of these, tasks that refuse nothing but what some are given, by what tells it from arguments."""
 
 
 @dataclass
@@ -211,8 +228,8 @@ def merged(lists: Sequence[Sequence[str]]) -> list[str]:
 
 def attempted(task: Task) -> Task:
     """Turn a task that may refuse into one whose refusal is a result and not the job's end."""
-    asked_of = LONG.get(task.function)
-    if task.function not in REFUSING or (asked_of is not None and asked_of(task.args) is None):
+    may_refuse = LONG.get(task.function)
+    if task.function not in REFUSING or (may_refuse is not None and not may_refuse(task.args)):
         return task
     args = {"function": task.function, "args": task.args}
     return replace(task, function=f"{_MODULE}:attempt", args=args)
