@@ -1,6 +1,7 @@
 """A tensor approximation whose steps are shared by tasks, against one task that makes them all."""
 
 import pytest
+from pydantic import ValidationError
 
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.queue.stages import Measured, Results, Round, Task
@@ -70,6 +71,17 @@ def test_beside_an_error_that_is_asked_for_one_task_makes_them_all(store, tmp_pa
     (plan,) = run_stages(standalone_stages(transfer, free, 1)[:1], store)["plan"]
     # the other part is diffuse
     assert [part["compression"]["tasks"] for part in plan["plan"]["parts"]] == [3, 1]
+
+
+def test_more_processes_than_steps_are_worth_are_refused():
+    assert CompressSettings(step_tasks=64).step_tasks == 64
+    assert CompressSettings(step_tasks=1, max_iterations=200).step_tasks == 1
+    assert CompressSettings(step_tasks=10, max_iterations=200).step_tasks == 10
+    for tasks, iterations in ((64, 200), (11, 200), (64, 30)):
+        with pytest.raises(ValidationError, match=f"step_tasks {tasks} .* 4096 at most") as refused:
+            CompressSettings(step_tasks=tasks, max_iterations=iterations)
+        (error,) = refused.value.errors()
+        assert error["loc"] == ("step_tasks",)
 
 
 def test_clusters_are_cut_into_runs_without_an_empty_one():

@@ -17,6 +17,7 @@ Rank = Annotated[int, Field(ge=1, lt=2**31)]
 CentreCount = Literal[12, 42, 162, 642, 2562, 10242]
 MOST_CLUSTERS = 4096  # of a part
 MOST_CENTRES = 10242
+MOST_STEP_TASKS = 4096  # of a part whose steps are shared
 
 FactorisationKind = Literal["svd", "sh"]
 
@@ -232,7 +233,22 @@ class CompressSettings(Wire):
     """Of a task."""
     step_tasks: Annotated[int, Field(ge=1, le=64)] | Literal["auto"] = "auto"
     """Tasks that share each step of a tensor approximation, 1 for all of it in one; `auto` goes by
-    its size.  The file does not depend on it.  Beside a budget it is one."""
+    its size.  The file does not depend on it.  Beside a budget it is one.  Times 2 `max_iterations`
+    + 5 steps it is 4096 a part at most."""
+
+    @field_validator("step_tasks")
+    @classmethod
+    def _few_processes(cls, tasks: int | str, info: ValidationInfo) -> int | str:
+        """Refuse more processes than shared steps are worth."""
+        iterations = info.data.get("max_iterations")
+        if isinstance(tasks, str) or tasks == 1 or iterations is None:
+            return tasks
+        if (total := tasks * (2 * iterations + 5)) > MOST_STEP_TASKS:
+            raise ValueError(
+                f"step_tasks {tasks} for max_iterations {iterations} may start {total} tasks a "
+                f"part: {MOST_STEP_TASKS} at most"
+            )
+        return tasks
 
     @field_validator("max_quantisation_error")
     @classmethod

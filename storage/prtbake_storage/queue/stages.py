@@ -165,7 +165,7 @@ class Rounds:
     ----------
     most
         From the results of earlier stages to the most rounds that there can be, at least 1; its
-        progress counts them.
+        progress counts them, and a stage that asks for more is at fault.
     outcome
         From the results, with all rounds of the stage, to the results of the stage.
     """
@@ -204,12 +204,22 @@ class Stage:
         """Yield the tasks of each round; what one left must be entered before asking for the next.
 
         At the end the stage itself is entered, if it repeats.
+
+        Raises
+        ------
+        RuntimeError
+            After `Rounds.most` rounds there are tasks left.
         """
+        most = 1 if self.rounds is None else self.rounds.most(results)
         yield self.tasks(results)
         if self.rounds is None:
             return
+        n_rounds = 1
         while tasks := self.tasks(results):
+            if n_rounds >= most:
+                raise RuntimeError(f"stage {self.name!r} goes on after {most} rounds, its most")
             yield tasks
+            n_rounds += 1
         results.close(self.name, self.rounds.outcome(results))
 
 

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from prtbake_storage.blobs import LocalBlobStore
 from prtbake_storage.queue import stages
 from prtbake_storage.queue.memo import Memory, recall, remember
-from prtbake_storage.queue.stages import Finished, Measured, Results, Stage, Task, package_of
+from prtbake_storage.queue.stages import (
+    Finished,
+    Measured,
+    Results,
+    Rounds,
+    Stage,
+    Task,
+    package_of,
+)
 from prtbake_storage.queue.tally import Tally
 from prtbake_storage.records.clock import utc_now
 from prtbake_storage.records.runs import TaskProgress
@@ -54,6 +62,30 @@ def test_results_are_entered_once() -> None:
         results.add("tiles", [], [])
     with pytest.raises(KeyError):
         results["join"]
+
+
+@pytest.mark.parametrize("most", [3, 2])
+def test_a_stage_has_no_more_rounds_than_it_says(most: int) -> None:
+    """One of three rounds that says so, and one that says two."""
+
+    def tasks(results: Results) -> list[Task]:
+        n_rounds = len(results.rounds("steps"))
+        return [Task("m:f", {"n": n_rounds})] if n_rounds < 3 else []
+
+    stage = Stage("steps", "steps", 1.0, tasks, Rounds(lambda _: most, lambda _: [{"end": True}]))
+    results = Results()
+
+    def walk() -> None:
+        for _ in stage.lists(results):
+            results.add_round("steps", [{}], [Measured(1.0, 1)])
+
+    if most == 3:
+        walk()
+        assert results["steps"] == [{"end": True}]
+    else:
+        with pytest.raises(RuntimeError, match="'steps' goes on after 2 rounds"):
+            walk()
+        assert "steps" not in results
 
 
 def test_rounds_are_entered_until_the_stage_is_closed() -> None:
