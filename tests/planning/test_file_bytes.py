@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.decode.light import LightFit
 from prtbake_storage.hdf5 import primitives as h5
 from prtbake_storage.hdf5.light import write_light
@@ -18,6 +19,7 @@ from prtbake_workers.planning.file_bytes import (
     FACTOR_BYTES,
     KnownBytes,
     PartNumbers,
+    asked_asset_bytes,
     asset_bytes,
     known_bytes,
     light_bytes,
@@ -133,6 +135,26 @@ def test_factors_count_by_their_bits():
     for bits in (8, 16, 32, "auto"):
         more = asset_bytes(nothing, [many], bits=bits) - asset_bytes(nothing, [few], bits=bits)
         assert more == pytest.approx(FACTOR_BYTES[bits] * 20_000, abs=1.0)
+
+
+def test_bytes_that_are_asked_for_are_predicted():
+    known, part = known_of(8), PartNumbers(2000, 8, 1, False, 162, 50_000, 4)
+    free = asset_bytes(known, [part], bits="auto")
+    all_numbers = transfer_bytes(known, [part])
+    assert asked_asset_bytes(known, [part], CompressSettings()) == free
+    for asked, expected in ((free // 2, free // 2), (2 * free, 2 * free), (10**12, all_numbers)):
+        settings = CompressSettings(max_bytes=asked)
+        assert asked_asset_bytes(known, [part], settings) == expected
+    # beside an error they are a limit and nothing to be filled
+    for asked, expected in ((free // 2, free // 2), (2 * free, free)):
+        settings = CompressSettings(max_bytes=asked, max_error=0.1)
+        assert asked_asset_bytes(known, [part], settings) == expected
+
+
+def test_bytes_that_a_light_may_take_are_predicted():
+    assert light_bytes(FitLightSettings(max_bytes=5000)) == 5000
+    free = light_bytes(FitLightSettings(n_lobes=24))
+    assert light_bytes(FitLightSettings(n_lobes=24, max_bytes=10**6)) == free < 5000
 
 
 @pytest.mark.parametrize("n_lobes", [12, 160, 400])

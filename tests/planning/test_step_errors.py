@@ -70,6 +70,7 @@ def test_energy_left_is_that_outside_the_terms():
         ({}, 162),
         ({"n_lobes": 40}, 40),
         ({"max_error": 0.05}, 0),
+        ({"max_bytes": 10**5}, 0),
         ({"method": "sh", "sh_order": 7}, 49),
         ({"method": "wavelet", "n_wavelets": 50}, 50),
         ({"method": "srbf_uniform", "n_centres": 42}, 42),

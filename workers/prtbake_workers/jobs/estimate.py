@@ -37,7 +37,7 @@ from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.jobs import calibrate, study_estimate
 from prtbake_workers.jobs.compress import compressions_of, work_of
-from prtbake_workers.jobs.lights import light_source, load_light
+from prtbake_workers.jobs.lights import check_light, light_source
 from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.time_budget import legal_steps
 from prtbake_workers.jobs.validate import check_kinship, scene_of
@@ -51,7 +51,13 @@ from prtbake_workers.jobs.work import (
 )
 from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_cost, expected_sizes
-from prtbake_workers.planning.file_bytes import PartNumbers, asset_bytes, known_bytes, light_bytes
+from prtbake_workers.planning.file_bytes import (
+    PartNumbers,
+    asked_asset_bytes,
+    asset_bytes,
+    known_bytes,
+    light_bytes,
+)
 from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.picture_bytes import (
     preview_files,
@@ -137,7 +143,7 @@ def predict(
         case CompressRequest():
             return _compress(request, given, store)
         case FitLightRequest():
-            load_light(store, light_source(given))
+            check_light(store, light_source(given))
             return _fit_light(below_quality("fit_light", request.settings, request.quality), given)
         case RenderRequest():
             return _render(request.settings, given, store)
@@ -300,7 +306,7 @@ def _asset_files(
             )
         )
     return {
-        "asset.h5": asset_bytes(known, numbers, bits=settings.bits),
+        "asset.h5": asked_asset_bytes(known, numbers, settings),
         "asset-float32.h5": asset_bytes(known, numbers, bits=32),
     }
 

@@ -39,6 +39,15 @@ def load_light(store: BlobStore, source: LightSource) -> Environment:
     return sum_environments(load_lights(store, source))
 
 
+def check_light(store: BlobStore, source: LightSource) -> None:
+    """See that every environment can be read, without adding them up."""
+    if isinstance(source, str):
+        load_light(store, source)
+    else:
+        for light in source:
+            load_light(store, light["digest"])
+
+
 def load_lights(store: BlobStore, source: Sequence[Mapping[str, Any]]) -> list[AddedLight]:
     """Load several environments by themselves."""
     return [

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.contract.light import FitLightSettings
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_workers.arrays import F64, I32
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.view_texture import (
@@ -180,10 +181,26 @@ def asset_bytes(known: KnownBytes, parts: Sequence[PartNumbers], *, bits: Bits) 
     return round(found)
 
 
+def asked_asset_bytes(
+    known: KnownBytes, parts: Sequence[PartNumbers], settings: CompressSettings
+) -> int:
+    """Predict ``asset.h5``, which fills a number of bytes where no error is asked for.
+
+    It holds no more numbers than the transfer then.
+    """
+    found = asset_bytes(known, parts, bits=settings.bits)
+    if settings.max_bytes is None:
+        return found
+    if settings.max_error is None:
+        found = transfer_bytes(known, parts)
+    return min(found, settings.max_bytes)
+
+
 def light_bytes(settings: FitLightSettings) -> int:
     """Predict ``light.h5``: seven float64 a lobe, three a function of another kind."""
     if settings.method == "srbf_scattered":
-        return 2300 + round(0.94 * 56 * (settings.n_lobes or 0))
+        found = 2300 + round(0.94 * 56 * (settings.n_lobes or 0))
+        return found if settings.max_bytes is None else min(found, settings.max_bytes)
     functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
     return 2300 + round(0.94 * 24 * (functions + (settings.n_wavelets or 0)))
 

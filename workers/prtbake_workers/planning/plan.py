@@ -327,7 +327,7 @@ def make_plan(
             view_channels or [1] * len(parts),
             n_channels=n_channels,
             n_coeffs=bake.n_coeffs,
-            bits=settings.compress.bits,
+            settings=settings.compress,
             scattering=bounces.scattering if bounces is not None else (),
         )
         | {"light.h5": light_bytes(settings.fit_light)},

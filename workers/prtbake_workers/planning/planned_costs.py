@@ -3,15 +3,16 @@
 from collections.abc import Collection, Mapping, Sequence
 from math import ceil, log
 
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.bounce_memory import bounce_memory_bytes
 from prtbake_workers.planning.cluster_limit import ClusterLimit
 from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.file_bytes import (
-    Bits,
     KnownBytes,
     PartNumbers,
+    asked_asset_bytes,
     asset_bytes,
     transfer_bytes,
 )
@@ -52,7 +53,7 @@ def artefact_bytes(
     *,
     n_channels: int,
     n_coeffs: int,
-    bits: Bits,
+    settings: CompressSettings,
     scattering: Collection[int] = (),
 ) -> dict[str, int]:
     """Predict the bytes of transfer and assets; parts in ``scattering`` scatter light inside."""
@@ -71,7 +72,7 @@ def artefact_bytes(
     ]
     return {
         "transfer.h5": transfer_bytes(known, numbers),
-        "asset.h5": asset_bytes(known, numbers, bits=bits),
+        "asset.h5": asked_asset_bytes(known, numbers, settings),
         "asset-float32.h5": asset_bytes(known, numbers, bits=32),
     }
 

@@ -73,8 +73,8 @@ def energy_left(spectra: Sequence[Float64[F64, " _"]], terms: Sequence[int]) -> 
 
 
 def light_functions(settings: FitLightSettings) -> int:
-    """Count the functions of a light; 0 where they are as many as an error asks for."""
-    if settings.max_error is not None:
+    """Count the functions of a light; 0 where they are as many as an error or bytes ask for."""
+    if settings.max_error is not None or settings.max_bytes is not None:
         return 0
     match settings.method:
         case "srbf_scattered":
