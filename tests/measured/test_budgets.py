@@ -13,8 +13,8 @@ from support.local_stages import run_stage
 
 GOOD = [Row("ball", ERROR, 0.1, error, 1000, 5.0, "as asked") for error in (0.061, 0.08, 0.099)]
 IN_TIME = [
-    Row("ball", TIME, 30.0, None, 900, 32.9, "quality low"),
-    Row("ball", TIME, 1.0, None, 0, 3.0, "refused"),
+    *(Row("ball", TIME, asked, None, 900, 1.09 * asked, "quality low") for asked in range(30, 39)),
+    Row("ball", TIME, 3.0, None, 0, 3.2, "refused"),
 ]
 
 
@@ -32,6 +32,9 @@ def test_promises_that_are_kept_are_told_as_kept():
         ([*GOOD[:2], Row("ball", ERROR, 0.1, 0.059, 1000, 5.0), *IN_TIME], 1),
         ([*GOOD[:2], Row("ball", ERROR, 0.1, None, 0, 5.0, "cannot be met"), *IN_TIME], 1),
         ([*GOOD, Row("ball", TIME, 30.0, None, 900, 33.1, "quality low")], 2),
+        # a refusal takes no longer than was asked for either, and is no way to keep times
+        ([*GOOD, *IN_TIME[:-1], Row("ball", TIME, 3.0, None, 0, 3.4, "refused")], 2),
+        ([*GOOD, *IN_TIME[1:], IN_TIME[-1]], 2),
     ],
 )
 def test_the_promise_that_is_broken_is_told(rows, broken):
