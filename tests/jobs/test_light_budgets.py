@@ -27,8 +27,15 @@ def test_lobes_fill_the_bytes_and_never_exceed_them(store, sky):
 
 
 def test_bytes_for_no_lobe_are_refused_with_the_least(store, sky):
-    with pytest.raises(SettingsError, match=r"a light of one lobe takes \d+"):
-        fitted(store, sky, FitLightSettings(max_bytes=100))
+    asked = FitLightSettings(max_bytes=100)
+    with pytest.raises(SettingsError, match=r"a light of one lobe takes \d+") as refused:
+        fitted(store, sky, asked)
+    assert refused.value.pointer == "/settings/fit_light/max_bytes"
+    # a job of its own has the field elsewhere
+    stages = fit_light.stages(sky, asked, 0, settings_at="/settings")
+    with pytest.raises(SettingsError) as refused:
+        run_stages(stages, store)
+    assert refused.value.pointer == "/settings/max_bytes"
 
 
 def test_without_time_a_light_is_a_first_guess_and_said_so(store, sky):
@@ -45,8 +52,9 @@ def test_without_time_a_light_is_a_first_guess_and_said_so(store, sky):
 
 def test_an_error_that_time_ends_is_refused_with_what_is_left(store, sky):
     hurried = FitLightSettings(max_error=1e-5, max_iterations=1, max_seconds=0.01)
-    with pytest.raises(SettingsError, match="max_seconds ended the search for max_error"):
+    with pytest.raises(SettingsError, match="max_seconds ended the search for max_error") as it:
         fitted(store, sky, hurried)
+    assert it.value.pointer == "/settings/fit_light/max_seconds"
 
 
 def test_budgets_are_of_scattered_lobes():

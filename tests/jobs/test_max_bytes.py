@@ -94,7 +94,7 @@ def test_an_error_in_more_bytes_than_asked_for_is_refused_with_what_it_took(stor
     assert compressed(store, transfer, **held, max_bytes=free + 200)["bytes"] <= free + 200
     with pytest.raises(SettingsError, match=r"max_error 0\.05 took \d+") as caught:
         compressed(store, transfer, **held, max_bytes=free - 1)
-    assert caught.value.pointer == "/settings/compress/max_bytes"
+    assert caught.value.pointer == "/settings/max_bytes"
 
 
 @pytest.mark.parametrize(

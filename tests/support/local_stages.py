@@ -58,7 +58,10 @@ def _run(
         left, before = _left.get(key, (None, 0.0)) if task.function in shared else (None, 0.0)
         if left is None:
             with store.scratch() as scratch:
-                value = function(json.loads(given), TaskContext(store, scratch, lambda _: None))
+                value = function(
+                    json.loads(given),
+                    TaskContext(store, scratch, lambda _: None, settings_at=task.settings_at),
+                )
             # as a worker's child sends it: NaN and infinity are no JSON
             left = json.dumps(value, allow_nan=False)
         seconds = clock() - began

@@ -68,7 +68,8 @@ def _run(order: dict[str, Any], send: Any) -> dict[str, Any]:
     scratch = Path(order["scratch"])
     store = open_store(order["store_url"], incoming=scratch)
     function = _find(task["function"], order["package"])
-    result = function(task["args"], TaskContext(store, scratch, send))
+    context = TaskContext(store, scratch, send, settings_at=task["settings_at"])
+    result = function(task["args"], context)
     if not isinstance(result, dict):
         raise TypeError(f"{task['function']} must return a dict, not {type(result).__name__}")
     return {

@@ -20,13 +20,21 @@ class TaskContext:
         Blobs; what a task leaves must be put there.
     scratch
         An empty folder, removed when the task ends in any way.
+    settings_at
+        JSON pointer to the settings of the task in the request, for errors.
     """
 
     def __init__(
-        self, store: BlobStore, scratch: Path, send: Callable[[dict[str, Any]], None]
+        self,
+        store: BlobStore,
+        scratch: Path,
+        send: Callable[[dict[str, Any]], None],
+        *,
+        settings_at: str = "/settings",
     ) -> None:
         self.store = store
         self.scratch = scratch
+        self.settings_at = settings_at
         self._send = send
         self._last = 0.0
 

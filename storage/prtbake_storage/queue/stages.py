@@ -36,6 +36,8 @@ class Task:
     memory_bytes, cpu_seconds
         Limits of the child process (address space, CPU time), for parsers of untrusted files.  To
         exceed them is an error of the input.
+    settings_at
+        JSON pointer to the settings that it goes by in the request; no part of the name.
     """
 
     function: str
@@ -44,6 +46,7 @@ class Task:
     threads: int = 1
     memory_bytes: int | None = None
     cpu_seconds: int | None = None
+    settings_at: str = "/settings"
 
     @cached_property
     def key(self) -> str:

@@ -32,6 +32,7 @@ from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
 from prtbake_workers.jobs.part_fit import part_fit, part_result
+from prtbake_workers.jobs.pointing import pointing_at
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.rows_file import write_rows
 from prtbake_workers.jobs.sized import check_bytes, write_sized
@@ -58,10 +59,13 @@ def stages(
     plan_of: Callable[[Results], tuple[str, list[dict[str, Any]]]],
     settings: CompressSettings,
     seed: int,
+    *,
+    settings_at: str = "/settings/compress",
 ) -> list[Stage]:
     """Compress each part in a task of its own, or in rounds of tasks, then write the asset.
 
-    ``plan_of`` gives the transfer's digest and each part's compression from earlier results.
+    ``plan_of`` gives the transfer's digest and each part's compression from earlier results,
+    ``settings_at`` is the JSON pointer to the settings in the request.
     """
     rounding, draws = options(settings), draw_settings(settings)
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
@@ -84,6 +88,7 @@ def stages(
                 | budgets(settings, compressions),
                 label=f"part {index}",
                 threads=settings.threads,
+                settings_at=settings_at,
             )
             for index, compression in enumerate(compressions)
         ]
@@ -114,7 +119,7 @@ def stages(
             | rounding
             | {"parts": list(map(_made, compressions))},
         }
-        return [Task(f"{_MODULE}:assemble", args)]
+        return [Task(f"{_MODULE}:assemble", args, settings_at=settings_at)]
 
     return [
         Stage(
@@ -150,9 +155,13 @@ def standalone_stages(
         parts = results["plan"][0]["plan"]["parts"]
         return transfer, [part["compression"] for part in parts]
 
-    return [Stage("plan", "plan", 1.0, outline), *stages(plan_of, settings, seed)]
+    return [
+        Stage("plan", "plan", 1.0, outline),
+        *stages(plan_of, settings, seed, settings_at="/settings"),
+    ]
 
 
+@pointing_at(CompressSettings)
 def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: choose method, clusters and ranks of each part of a transfer file."""
     settings = CompressSettings.model_validate(args["settings"])
@@ -184,7 +193,7 @@ def outline(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
 def compressions_of(
     header: TransferHeader, settings: CompressSettings, quality: Quality = "medium"
 ) -> list[PartCompression]:
-    """Choose method, clusters and ranks of each part; refuse what registers cannot hold."""
+    """Choose each part's method, clusters and ranks, of a compress job; refuse by registers."""
     found = [
         resolve_compression(
             settings,
@@ -199,7 +208,12 @@ def compressions_of(
     ]
     for part, own in zip(header.parts, found, strict=True):
         check_planned_registers(
-            settings, part.name, own, n_verts=part.n_vertices, n_terms=part.n_terms
+            settings,
+            part.name,
+            own,
+            n_verts=part.n_vertices,
+            n_terms=part.n_terms,
+            settings_at="/settings",
         )
     return found
 
@@ -257,6 +271,7 @@ def read_coefficients(
     return own, coefficients
 
 
+@pointing_at(CompressSettings)
 def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: compress one part, its vertices weighted by area."""
     began = time.monotonic()
@@ -278,6 +293,7 @@ def compress_part(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     return result | {"notes": result["notes"] + late}
 
 
+@pointing_at(CompressSettings)
 def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``asset.h5`` and, with exact factors, ``asset-float32.h5``."""
     with open_transfer(context.store.local_path(args["transfer"])) as transfer:

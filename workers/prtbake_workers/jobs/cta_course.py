@@ -114,6 +114,7 @@ class SharedSteps:
             {**self._whole.args, **args},
             label=f"{self._whole.label} {name}{which}",
             threads=self._whole.threads,
+            settings_at=self._whole.settings_at,
         )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.hdf5.transfer import TransferPart, open_transfer
 from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.arrays import F64
@@ -19,9 +20,11 @@ from prtbake_workers.compress.methods import finished
 from prtbake_workers.compress.parallel import same_bytes_on_any_threads
 from prtbake_workers.jobs import cta_state
 from prtbake_workers.jobs.part_fit import part_fit, part_result, part_weights, read_mesh
+from prtbake_workers.jobs.pointing import pointing_at
 from prtbake_workers.jobs.rows_file import write_rows
 
 
+@pointing_at(CompressSettings)
 def start(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: project on the view's leading vectors, and cluster what that gives."""
     path = context.store.local_path(args["transfer"])
@@ -97,6 +100,7 @@ def approximate(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         return _fitted(fit, fit.fitted_in_view(clusters), args, context)
 
 
+@pointing_at(CompressSettings)
 def finish(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: join the clusters to the part's factors, as a fit in one task leaves them."""
     fit = _fit(args, context)

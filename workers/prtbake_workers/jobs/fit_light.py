@@ -28,6 +28,7 @@ from prtbake_workers.jobs.lights import (
     load_lights,
     share_notes,
 )
+from prtbake_workers.jobs.pointing import pointing_at
 
 _MODULE = "prtbake_workers.jobs.fit_light"
 
@@ -51,18 +52,25 @@ class Fit:
     notes: list[str] = field(default_factory=list)
 
 
-def stages(environment: LightSource, settings: FitLightSettings, seed: int) -> list[Stage]:
-    """Fit in one task."""
+def stages(
+    environment: LightSource,
+    settings: FitLightSettings,
+    seed: int,
+    *,
+    settings_at: str = "/settings/fit_light",
+) -> list[Stage]:
+    """Fit in one task; ``settings_at`` is the JSON pointer to the settings in the request."""
     # without the fields of other methods, whatever those will be
     dumped = settings.model_dump(mode="json", exclude_none=True)
     args = {"environment": environment, "settings": dumped, "seed": seed}
 
     def fit(_: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:fit", args, label="fit")]
+        return [Task(f"{_MODULE}:fit", args, label="fit", settings_at=settings_at)]
 
     return [Stage("fit_light", "fit", 10.0, fit)]
 
 
+@pointing_at(FitLightSettings)
 def fit(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     """Task: write ``light.h5``."""
     settings = FitLightSettings.model_validate(args["settings"])

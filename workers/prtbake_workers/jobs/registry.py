@@ -51,7 +51,7 @@ def _compress(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
 def _fit_light(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = FitLightRequest.model_validate(request)
     settings = below_quality("fit_light", parsed.settings, parsed.quality)
-    return fit_light.stages(light_source(context), settings, parsed.seed)
+    return fit_light.stages(light_source(context), settings, parsed.seed, settings_at="/settings")
 
 
 def _render(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:

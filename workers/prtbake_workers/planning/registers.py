@@ -39,8 +39,11 @@ def check_planned_registers(
     *,
     n_verts: int,
     n_terms: int,
+    settings_at: str = "/settings/compress",
 ) -> None:
     """Refuse a part whose clusters a renderer of so many registers could not draw one at a time.
+
+    ``settings_at`` is the JSON pointer to the settings in the request.
 
     Raises
     ------
@@ -55,5 +58,5 @@ def check_planned_registers(
         raise SettingsError(
             f"registers is {settings.registers}: a cluster of {name} takes {need}; fewer "
             "components or lower ranks take fewer",
-            pointer="/settings/compress/registers",
+            pointer=f"{settings_at}/registers",
         )
