@@ -1,13 +1,19 @@
 """Seconds that are asked for: fits end with what they have and say so; enough change nothing."""
 
+from dataclasses import asdict
+
 import pytest
 from pydantic import ValidationError
 
+from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.compress import compressions_of, standalone_stages
 from prtbake_workers.jobs.part_budget import READS, START_SECONDS, fit_seconds
+from prtbake_workers.jobs.registry import KINDS
+from prtbake_workers.planning.presets import PartCompression
 from support.local_stages import run_stages
 from support.transfer_file import write_transfer
 
@@ -68,3 +74,27 @@ def test_fits_share_what_reading_and_writing_leave(store, transfer):
 def test_seconds_out_of_range_are_refused(asked):
     with pytest.raises(ValidationError, match="max_seconds"):
         CompressSettings(max_seconds=asked)
+
+
+def test_what_a_clock_cuts_is_recalled_by_its_own_job_alone():
+    request = {"kind": "compress", "transfer": "j/transfer.h5", "settings": {"max_iterations": 2}}
+    light = {"kind": "fit_light", "environment": f"environment-{'1' * 16}", "settings": {}}
+    results = Results()
+    compression = asdict(PartCompression("pca", 1, (1, 1, 1), 2))
+    results.add("plan", [{"plan": {"parts": [{"compression": compression}]}}], [])
+
+    def key(base, seconds, started):
+        body = base | {"settings": base["settings"] | {"max_seconds": seconds}}
+        asked = job_request_adapter.validate_python(body).model_dump(mode="json")
+        context = {
+            "artefacts": {"transfer": {"digest": "sha256:" + "0" * 64}},
+            "environment": {"canonical": "sha256:" + "0" * 64},
+            "started": started,
+        }
+        name = "compress" if base is request else "fit_light"
+        stages = {stage.name: stage for stage in KINDS[base["kind"]](asked, context)}
+        return stages[name].tasks(results)[0].key
+
+    for base in (request, light):
+        assert key(base, 5.0, 1e9) == key(base, 5.0, 1e9) != key(base, 5.0, 2e9)
+        assert key(base, None, 1e9) == key(base, None, 2e9)

@@ -38,6 +38,9 @@ class Task:
         exceed them is an error of the input.
     settings_at
         JSON pointer to the settings that it goes by in the request; no part of the name.
+    job_started
+        Of a task whose result goes by a clock: seconds since 1970, part of the name, so that no
+        other job recalls what a busy machine had no time for.
     """
 
     function: str
@@ -47,6 +50,7 @@ class Task:
     memory_bytes: int | None = None
     cpu_seconds: int | None = None
     settings_at: str = "/settings"
+    job_started: float | None = None
 
     @cached_property
     def key(self) -> str:
@@ -57,6 +61,8 @@ class Task:
             "threads": self.threads,
             "code": code_version(),
         }
+        if self.job_started is not None:
+            identity["job_started"] = self.job_started
         return json_digest(identity)
 
     @property

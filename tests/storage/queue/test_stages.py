@@ -37,8 +37,10 @@ def test_a_task_is_named_by_all_that_its_result_depends_on(
         Task("m:f", {"a": 2, "b": [2.5]}),
         Task("m:f", {"a": "1", "b": [2.5]}),
         Task("m:f", {"a": 1, "b": [2.5]}, threads=2),
+        Task("m:f", {"a": 1, "b": [2.5]}, job_started=1.5e9),
+        Task("m:f", {"a": 1, "b": [2.5]}, job_started=1.6e9),
     ]
-    assert len({task.key, *(other.key for other in others)}) == 5
+    assert len({task.key, *(other.key for other in others)}) == 7
     monkeypatch.setattr(stages, "code_version", lambda: "next")
     assert Task("m:f", {"a": 1, "b": [2.5]}).key != task.key
 

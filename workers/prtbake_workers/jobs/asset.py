@@ -34,8 +34,10 @@ def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
 
     return [
         *bake.stages(request, context, settings, parsed.planned_quality),
-        *compress.stages(planned, settings.compress, parsed.seed),
-        *fit_light.stages(environment, settings.fit_light, parsed.seed),
+        *compress.stages(planned, settings.compress, parsed.seed, started=context.get("started")),
+        *fit_light.stages(
+            environment, settings.fit_light, parsed.seed, started=context.get("started")
+        ),
         *render.stages(lit, settings.render),
         *validate.stages(held, environment, settings.validation, parsed.seed),
     ]

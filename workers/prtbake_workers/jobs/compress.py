@@ -61,11 +61,13 @@ def stages(
     seed: int,
     *,
     settings_at: str = "/settings/compress",
+    started: float | None = None,
 ) -> list[Stage]:
     """Compress each part in a task of its own, or in rounds of tasks, then write the asset.
 
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results,
-    ``settings_at`` is the JSON pointer to the settings in the request.
+    ``settings_at`` is the JSON pointer to the settings in the request, ``started`` the job's start
+    in seconds since 1970: what `max_seconds` cuts belongs to this job.
     """
     rounding, draws = options(settings), draw_settings(settings)
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
@@ -89,6 +91,7 @@ def stages(
                 label=f"part {index}",
                 threads=settings.threads,
                 settings_at=settings_at,
+                job_started=None if settings.max_seconds is None else started,
             )
             for index, compression in enumerate(compressions)
         ]
@@ -139,7 +142,12 @@ def _made(compression: dict[str, Any]) -> dict[str, Any]:
 
 
 def standalone_stages(
-    transfer: str, settings: CompressSettings, seed: int, *, quality: Quality = "medium"
+    transfer: str,
+    settings: CompressSettings,
+    seed: int,
+    *,
+    quality: Quality = "medium",
+    started: float | None = None,
 ) -> list[Stage]:
     """Compress an earlier job's transfer: look at its parts first, then as in an asset job.
 
@@ -157,7 +165,7 @@ def standalone_stages(
 
     return [
         Stage("plan", "plan", 1.0, outline),
-        *stages(plan_of, settings, seed, settings_at="/settings"),
+        *stages(plan_of, settings, seed, settings_at="/settings", started=started),
     ]
 
 

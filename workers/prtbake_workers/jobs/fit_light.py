@@ -58,14 +58,20 @@ def stages(
     seed: int,
     *,
     settings_at: str = "/settings/fit_light",
+    started: float | None = None,
 ) -> list[Stage]:
-    """Fit in one task; ``settings_at`` is the JSON pointer to the settings in the request."""
+    """Fit in one task.
+
+    ``settings_at`` is the JSON pointer to the settings in the request, ``started`` the job's start
+    in seconds since 1970: what `max_seconds` cuts belongs to this job.
+    """
+    own = None if settings.max_seconds is None else started
     # without the fields of other methods, whatever those will be
     dumped = settings.model_dump(mode="json", exclude_none=True)
     args = {"environment": environment, "settings": dumped, "seed": seed}
 
     def fit(_: Results) -> list[Task]:
-        return [Task(f"{_MODULE}:fit", args, label="fit", settings_at=settings_at)]
+        return [Task(f"{_MODULE}:fit", args, label="fit", settings_at=settings_at, job_started=own)]
 
     return [Stage("fit_light", "fit", 10.0, fit)]
 

@@ -44,14 +44,24 @@ def _compress(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     transfer = context["artefacts"]["transfer"]["digest"]
     settings = below_quality("compress", parsed.settings, parsed.quality)
     return compress.standalone_stages(
-        transfer, settings, parsed.seed, quality=parsed.quality or "medium"
+        transfer,
+        settings,
+        parsed.seed,
+        quality=parsed.quality or "medium",
+        started=context.get("started"),
     )
 
 
 def _fit_light(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     parsed = FitLightRequest.model_validate(request)
     settings = below_quality("fit_light", parsed.settings, parsed.quality)
-    return fit_light.stages(light_source(context), settings, parsed.seed, settings_at="/settings")
+    return fit_light.stages(
+        light_source(context),
+        settings,
+        parsed.seed,
+        settings_at="/settings",
+        started=context.get("started"),
+    )
 
 
 def _render(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
