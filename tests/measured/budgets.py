@@ -26,14 +26,13 @@ from measured.budgets_table import (
     REFUSED,
     TIME,
     Row,
-    append_row,
     page,
-    read_rows,
     statements,
 )
 from measured.effect_scenes import SCENES, EffectScene
 from measured.effects import machine_line
 from measured.options import DOWNLOADS, ROOT, real_data, refuse_unknown
+from measured.rows import append_rows, read_rows
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.contract.jobs import job_request_adapter
@@ -226,14 +225,14 @@ def main(arguments: list[str]) -> int:
     path, machine = to / "budgets.csv", machine_line()
     if given.anew:
         path.unlink(missing_ok=True)
-    done = {row.key for row in read_rows(path)}
+    done = {row.key for row in read_rows(path, Row)}
     left_out = {ERROR} if given.times else {TIME} if given.errors else set()
     for scene in (one for one in SCENES if one.name in (given.names or NAMES)):
         listed = asked_of(scene.name, quick=given.quick)
         left = [key for key in listed if key not in done and key[1] not in left_out]
         if left:
             measure(scene, left, path, data)
-    rows = read_rows(path)
+    rows = read_rows(path, Row)
     if not rows:
         return 0
     (to / "budgets.md").write_text(page(rows, about=ABOUT, machine=f"{machine} {so_far(rows)}"))
@@ -257,7 +256,7 @@ def measure(
         jobs = BudgetJobs(scene, open_store((Path(folder) / "blobs").as_uri()), data)
         for _, what, asked in keys:
             row = jobs.met(asked) if what == ERROR else jobs.kept(asked)
-            append_row(path, row)
+            append_rows(path, [row], Row)
             share = "" if row.share is None else f"{row.share:.3f}, "
             tell(f"{row.scene}: {what} {asked:g}, {share}{row.seconds:.1f} s, {row.said}")
 

@@ -1,9 +1,7 @@
 """Budgets that were asked for beside what came: the rows of `budgets`, what holds, the page."""
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 from measured.pages import table
 
@@ -106,27 +104,3 @@ def page(rows: Sequence[Row], *, about: str, machine: str) -> str:
         f"## What holds\n\n{said}\n## Errors\n\n{table(head, errors)}\n"
         f"\n## Times\n\n{table(('scene', 'seconds asked', 'taken', 'made'), times)}\n"
     )
-
-
-def append_row(path: Path, row: Row) -> None:
-    """Append a job to a CSV table, which is begun where it is not there."""
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-        if file.tell() == 0:
-            writer.writeheader()
-        writer.writerow(asdict(row))
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Read the table; no rows where it is not there."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [
-            Row(
-                one["scene"], one["what"], float(one["asked"]),
-                float(one["error"]) if one["error"] else None,
-                int(one["n_bytes"]), float(one["seconds"]), one["said"],
-            )
-            for one in csv.DictReader(file)
-        ]  # fmt: skip

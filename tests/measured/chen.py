@@ -16,9 +16,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from measured.chen_scenes import SCENES, TERMS, Baked, bake
-from measured.chen_table import ChenRow, page, read_rows, statements, write_rows
+from measured.chen_table import ChenRow, page, statements
 from measured.effects import machine_line
 from measured.options import Page
+from measured.rows import read_rows, write_rows
 from prtbake_storage.decode.overdraw import average_overdraw
 from prtbake_workers.compress.coherence import ALPHA, coherence_of
 from prtbake_workers.compress.cpca import compress_cpca
@@ -137,14 +138,15 @@ def measure_scenes(names: Sequence[str], folder: Path, data: Path) -> bool:
         if scene.name not in names:
             continue
         baked = bake(scene, data)
-        rows = [row for row in read_rows(store) if row.scene != scene.name]
+        rows = [row for row in read_rows(store, ChenRow) if row.scene != scene.name]
         for clusters in CLUSTERS:
             rows += measure(scene.name, baked, clusters)
-        write_rows(store, sorted(rows, key=lambda row: list(titles).index(row.scene)))
+        rows.sort(key=lambda row: list(titles).index(row.scene))
+        write_rows(store, rows, ChenRow, digits=6)
         sys.stdout.write(f"{scene.title}: measured\n")
         sys.stdout.flush()
     # as the file keeps them, so that the page does not depend on which scenes were named
-    kept = read_rows(store)
+    kept = read_rows(store, ChenRow)
     text = page(kept, titles, machine=machine_line(), about=ABOUT)
     (folder / "chen.md").write_text(text)
     found = statements(kept)

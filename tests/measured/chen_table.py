@@ -1,10 +1,7 @@
 """Chen's tables beside ours: rows, the file that keeps them, what they prove, and the page."""
 
-import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 from measured.chen_thesis import METHODS, THESIS
 from measured.effects_table import Statement
@@ -52,32 +49,6 @@ class Beside:
 
     left: float
     rise: float
-
-
-def read_rows(path: Path) -> list[ChenRow]:
-    """Read what an earlier run kept; nothing where there was none."""
-    if not path.exists():
-        return []
-    kinds: dict[str, Any] = {one.name: one.type for one in fields(ChenRow)}
-    with path.open(newline="") as file:
-        return [
-            ChenRow(**{name: kinds[name](value) for name, value in line.items()})
-            for line in csv.DictReader(file)
-        ]
-
-
-def write_rows(path: Path, rows: Sequence[ChenRow]) -> None:
-    """Keep the rows, figures to six digits."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(ChenRow)], lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {
-                    name: f"{value:.6g}" if isinstance(value, float) else value
-                    for name, value in asdict(row).items()
-                }
-            )
 
 
 def ours(rows: Sequence[ChenRow], scene: str, clusters: int) -> dict[str, Beside]:

@@ -35,11 +35,10 @@ from measured.cost_table import (
     SECONDS,
     STAGES,
     Row,
-    append_rows,
     page,
-    read_rows,
     statements,
 )
+from measured.rows import append_rows, read_rows
 from prtbake.cli.serve import raise_interrupt
 from prtbake.client import Client
 from prtbake.launch import LocalService
@@ -150,7 +149,7 @@ def main(arguments: Sequence[str]) -> int:
     table = given.to / "cost-model.csv"
     if given.anew:
         table.unlink(missing_ok=True)
-    done = {row.job for row in read_rows(table)}
+    done = {row.job for row in read_rows(table, Row)}
     left = [one for one in range(given.first, given.first + given.count) if one not in done]
     with (
         home_of(given.data) as home,
@@ -162,11 +161,11 @@ def main(arguments: Sequence[str]) -> int:
         for number in left:
             seed = TRAINING_SEED if given.training else FIRST_SEED
             own = measure(client, Draw.of(number, first_seed=seed))
-            append_rows(table, own)
+            append_rows(table, own, Row)
             told = ", ".join(f"{row.of} {row.factor:.2f}" for row in own if row.what != STAGES)
             sys.stdout.write(f"{number} {own[0].scene}: {told}\n")
             sys.stdout.flush()
-    rows = read_rows(table)
+    rows = read_rows(table, Row)
     if not rows:
         return 0
     (given.to / "cost-model.md").write_text(page(rows, about=ABOUT, machine=machine))

@@ -1,9 +1,7 @@
 """Predicted beside measured: the rows of `cost_model`, their quantiles and the page of them."""
 
-import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -80,30 +78,3 @@ def page(rows: Sequence[Row], *, about: str, machine: str) -> str:
             cells = " | ".join(f"{value:.2f}" for value in np.quantile(factors, QUANTILES))
             lines.append(f"| {what} | {of} | {len(factors)} | {cells} |")
     return "\n".join(lines) + "\n"
-
-
-def append_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Append rows to a CSV table, which is begun where it is not there."""
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-        if file.tell() == 0:
-            writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Read the table; no rows where it is not there."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [
-            Row(
-                int(one["job"]),
-                one["scene"],
-                one["what"],
-                one["of"],
-                float(one["predicted"]),
-                float(one["measured"]),
-            )
-            for one in csv.DictReader(file)
-        ]

@@ -18,8 +18,9 @@ import numpy as np
 from benchmarks.run import cpu_name
 from measured.effect_runs import measure
 from measured.effect_scenes import ABOUT_SETTINGS, SCENES, SETTINGS, WARM_UP, EffectScene
-from measured.effects_table import Row, merged, page, read_rows, statements, write_rows
+from measured.effects_table import Row, merged, page, statements
 from measured.options import Page
+from measured.rows import read_rows, write_rows
 from prtbake_storage import __version__
 from prtbake_storage.contract.settings import BakeSettings
 
@@ -68,12 +69,12 @@ def measure_scenes(
     measure(warm_up, data, settings)
     for scene in scenes:
         if scene.name in names:
-            rows = merged(read_rows(store), measure(scene, data, settings), list(titles))
-            write_rows(store, rows)
+            rows = merged(read_rows(store, Row), measure(scene, data, settings), list(titles))
+            write_rows(store, rows, Row, digits=4)
             sys.stdout.write(f"{scene.title}: {rows_line(rows, scene.name)}\n")
             sys.stdout.flush()
     # as the file keeps them, so that the page does not depend on which scenes were named
-    rows = read_rows(store)
+    rows = read_rows(store, Row)
     text = page(rows, titles, settings=ABOUT_SETTINGS, machine=machine_line(), about=ABOUT)
     (folder / "effects.md").write_text(text)
     found = statements(rows, list(titles))

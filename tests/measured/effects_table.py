@@ -1,11 +1,8 @@
 """The table of effects: rows, the file that keeps them, what they prove, and the page."""
 
-import csv
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 from measured.pages import percent, table
 
@@ -76,40 +73,6 @@ class Row:
         if self.decided == "left":
             return "**needed, and left**" if self.matters else "rightly left"
         return "needed" if self.matters else "taken, little"
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Read what an earlier run kept; nothing where there was none."""
-    if not path.exists():
-        return []
-    kinds = {one.name: one.type for one in fields(Row)}
-    with path.open(newline="") as file:
-        return [
-            Row(**{name: _cell(value, str(kinds[name])) for name, value in line.items()})
-            for line in csv.DictReader(file)
-        ]
-
-
-def _cell(value: str, kind: Any) -> Any:
-    if "str" in kind:
-        return value
-    if "int" in kind:
-        return int(value)
-    return float(value) if value else None
-
-
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Keep the rows, figures to four digits."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(Row)], lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {
-                    name: f"{value:.4g}" if isinstance(value, float) else value
-                    for name, value in asdict(row).items()
-                }
-            )
 
 
 def merged(kept: Sequence[Row], new: Sequence[Row], order: Sequence[str]) -> list[Row]:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.run import cpu_name
+from measured.rows import write_rows
 from measured.sloan_overdraw import (
     TABLE,
     Drawn,
@@ -36,7 +37,6 @@ from measured.sloan_table import (
     Result,
     page,
     statements,
-    write_results,
 )
 from prtbake_storage import __version__
 from prtbake_workers.compress.cpca import METHODS, CpcaModel, compress_cpca
@@ -168,7 +168,7 @@ def measure(
         results.append(result)
         sys.stdout.write(f"{result.of}, {result.row}, {result.method}: {result.error:.3%}\n")
         sys.stdout.flush()
-    write_results(folder / "sloan.csv", results)
+    write_rows(folder / "sloan.csv", results, Result, digits=5)
     about = ABOUT.format(thinned="" if full else THINNED)
     found = [*statements(results), *overdraw_statements(results)]
     text = page(

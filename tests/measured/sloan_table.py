@@ -1,9 +1,7 @@
 """What was measured beside [Sloan2003]: the file that keeps it, what it proves, and the page."""
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 from measured.effects_table import Statement
 from measured.pages import size, table
@@ -53,20 +51,6 @@ class Result:
     their_ratio: float = 0.0
     overdraw: float = 0.0
     their_overdraw: float = 0.0
-
-
-def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Keep the results, figures to five digits."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(Result)], lineterminator="\n")
-        writer.writeheader()
-        for result in results:
-            writer.writerow(
-                {
-                    name: f"{value:.5g}" if isinstance(value, float) else value
-                    for name, value in asdict(result).items()
-                }
-            )
 
 
 def trios(results: Sequence[Result]) -> list[tuple[Result, Result, Result]]:

@@ -5,7 +5,8 @@ import time
 import pytest
 
 from measured.budgets import NAMES, asked_of, so_far
-from measured.budgets_table import ERROR, TIME, Row, append_row, page, read_rows, statements
+from measured.budgets_table import ERROR, TIME, Row, page, statements
+from measured.rows import append_rows, read_rows
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.queue.stages import Results, Stage
 from prtbake_workers.jobs import clock
@@ -45,11 +46,11 @@ def test_the_promise_that_is_broken_is_told(rows, broken):
 
 def test_the_table_goes_on_where_it_was_left(tmp_path):
     path = tmp_path / "budgets.csv"
-    assert read_rows(path) == []
+    assert read_rows(path, Row) == []
     rows = [GOOD[0], Row("ball", ERROR, 0.01, None, 0, 5.0, 'no, "never"'), IN_TIME[0]]
     for row in rows:
-        append_row(path, row)
-    assert read_rows(path) == rows
+        append_rows(path, [row], Row)
+    assert read_rows(path, Row) == rows
     assert [row.key for row in rows] == [
         ("ball", ERROR, 0.1), ("ball", ERROR, 0.01), ("ball", TIME, 30.0),
     ]  # fmt: skip

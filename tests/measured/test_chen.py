@@ -7,9 +7,10 @@ import pytest
 
 from measured.chen import CLUSTERS, measure
 from measured.chen_scenes import SCENES, SETTINGS, bake
-from measured.chen_table import page, read_rows, statements, theirs, write_rows
+from measured.chen_table import ChenRow, page, statements, theirs
 from measured.chen_thesis import METHODS, THESIS
 from measured.effect_scenes import EffectScene, builtin
+from measured.rows import read_rows, write_rows
 
 POT = EffectScene(
     "bunny-cook-torrance", "a pot", builtin("teapot", 4), {"brdf": SCENES[-1].request["brdf"]}
@@ -69,8 +70,8 @@ def test_the_thesis_beside_itself_holds_and_anything_worse_fails(rows):
 
 
 def test_rows_come_back_from_the_file_and_are_on_the_page(rows, tmp_path):
-    write_rows(tmp_path / "chen.csv", rows)
-    back = read_rows(tmp_path / "chen.csv")
+    write_rows(tmp_path / "chen.csv", rows, ChenRow, digits=6)
+    back = read_rows(tmp_path / "chen.csv", ChenRow)
     assert [row.method for row in back] == list(METHODS)
     np.testing.assert_allclose([row.error for row in back], [row.error for row in rows], rtol=1e-5)
     text = page(back, {POT.name: POT.title}, machine="a machine", about="about")

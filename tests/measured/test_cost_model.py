@@ -9,13 +9,12 @@ from measured.cost_table import (
     SECONDS,
     STAGES,
     Row,
-    append_rows,
     off_by,
     page,
-    read_rows,
     share_within,
     statements,
 )
+from measured.rows import append_rows, read_rows
 from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
 
@@ -68,13 +67,13 @@ def test_the_page_holds_the_rows():
 
 def test_the_table_grows_piece_by_piece(tmp_path):
     table = tmp_path / "rows.csv"
-    assert read_rows(table) == []
+    assert read_rows(table, Row) == []
     rows = rows_of(1.1 / 3.0)
-    append_rows(table, rows[:7])
-    append_rows(table, rows[7:])
-    assert read_rows(table) == rows
+    append_rows(table, rows[:7], Row)
+    append_rows(table, rows[7:], Row)
+    assert read_rows(table, Row) == rows
     # a job of its own is one that no earlier piece ran
-    assert {row.job for row in read_rows(table)} == set(range(10))
+    assert {row.job for row in read_rows(table, Row)} == set(range(10))
 
 
 def test_training_jobs_are_none_of_those_held_out():

@@ -9,7 +9,8 @@ import pytest
 from measured.effect_runs import Bakes, measure, squared_error
 from measured.effect_scenes import SCENES, EffectScene, builtin, lambert, made
 from measured.effects import measure_scenes
-from measured.effects_table import Row, merged, read_rows, statements, write_rows
+from measured.effects_table import Row, merged, statements
+from measured.rows import read_rows, write_rows
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.hdf5.transfer import open_transfer
@@ -125,9 +126,9 @@ def test_the_statements_hold_and_each_fails_where_planning_is_wrong(rows):
 
 def test_rows_are_kept_and_those_of_a_scene_replaced(rows, tmp_path):
     path = tmp_path / "effects.csv"
-    assert read_rows(path) == []
-    write_rows(path, rows)
-    kept = read_rows(path)
+    assert read_rows(path, Row) == []
+    write_rows(path, rows, Row, digits=4)
+    kept = read_rows(path, Row)
     assert [(r.scene, r.effect, r.decided, r.verdict) for r in kept] == [
         (r.scene, r.effect, r.decided, r.verdict) for r in rows
     ]
@@ -148,7 +149,7 @@ def test_the_command_writes_the_table_and_tells_that_two_scenes_are_not_enough(t
     said = capsys.readouterr().out
     assert "FAILS: all 2 scenes are measured: missing: bowl" in said
     text = (tmp_path / "effects.md").read_text()
-    assert {row.scene for row in read_rows(tmp_path / "effects.csv")} == {"pebble"}
+    assert {row.scene for row in read_rows(tmp_path / "effects.csv", Row)} == {"pebble"}
     # every table is whole
     for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
         assert len({len(re.split(r"(?<!\\)\|", line)) for line in block.splitlines()}) == 1

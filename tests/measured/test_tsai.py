@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measured.rows import read_rows, write_rows
 from measured.tsai import MODELS, QUICK, measure
 from measured.tsai_pages import (
     CPCA,
@@ -17,9 +18,7 @@ from measured.tsai_pages import (
     Row,
     merged,
     page,
-    read_rows,
     statements,
-    write_rows,
 )
 from measured.tsai_runs import Sampled, bake
 from prtbake_workers.basis.srbf import SrbfBasis
@@ -102,7 +101,7 @@ def test_statements_hold_only_where_they_do(tmp_path):
     assert "does not hold" in page([row(OWN, 11_000, 0.014)], [], "about", "machine")
     path = tmp_path / "t.csv"
     assert read_rows(path, Row) == []
-    write_rows(path, good)
+    write_rows(path, good, Row)
     assert read_rows(path, Row) == good
     teapot_row = replace(good[0], model="teapot")
     assert merged(good, [teapot_row], ["teapot", "bunny"]) == [teapot_row, *good]

@@ -18,6 +18,7 @@ import numpy as np
 
 from measured.effects import machine_line
 from measured.options import Options
+from measured.rows import read_rows, write_rows
 from measured.tsai_compared import compare
 from measured.tsai_pages import (
     CTA,
@@ -26,9 +27,7 @@ from measured.tsai_pages import (
     Row,
     merged,
     page,
-    read_rows,
     statements,
-    write_rows,
 )
 from measured.tsai_runs import (
     F32,
@@ -204,7 +203,7 @@ def main(arguments: Sequence[str]) -> int:
         # after each, so that what was measured is kept
         for store, kind, new in (("tsai.csv", Row, found), ("tsai-bases.csv", BasisRow, choices)):
             path = folder / store
-            write_rows(path, merged(read_rows(path, kind), new, names))
+            write_rows(path, merged(read_rows(path, kind), new, names), kind)
     # as the files keep them, so that the page does not depend on which models were named
     rows, bases = (
         read_rows(folder / "tsai.csv", Row),

@@ -1,9 +1,7 @@
 """The page of [Tsai2006] tables 1 and 2: theirs beside ours, and which statements hold."""
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TypeVar
 
 from measured.pages import percent, seconds, size, table
@@ -96,26 +94,6 @@ class Statement:
 
 
 AnyRow = TypeVar("AnyRow", Row, BasisRow)
-
-
-def write_rows(path: Path, rows: Sequence[Row] | Sequence[BasisRow]) -> None:
-    """Write the table as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        names = [field.name for field in fields(rows[0])]
-        writer = csv.DictWriter(stream, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
-def read_rows(path: Path, kind: type[AnyRow]) -> list[AnyRow]:
-    """Read what `write_rows` wrote; nothing where there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        return [
-            kind(**{name: cast(line[name]) for name, cast in kind.__annotations__.items()})
-            for line in csv.DictReader(stream)
-        ]
 
 
 def merged(old: Sequence[AnyRow], new: Sequence[AnyRow], order: Sequence[str]) -> list[AnyRow]:
