@@ -8,8 +8,18 @@ from prtbake_workers.compress.cluster_factors import (
 from prtbake_workers.compress.view_basis import (
     initial_view_basis,
     project_view,
-    updated_view_basis,
+    view_basis_of_grams,
+    view_gram_of_cluster,
 )
+
+
+def _updated(transfer, members, bases, factors, n_channels=1):
+    """Of three columns, from what the clusters give one by one."""
+    grams = [
+        view_gram_of_cluster(transfer[m], u, f, np.ones(len(m)), n_channels)
+        for m, u, f in zip(members, bases, factors, strict=True)
+    ]
+    return view_basis_of_grams(grams, 3)
 
 
 def test_channels_share_the_best_update(coloured):
@@ -26,7 +36,7 @@ def test_channels_share_the_best_update(coloured):
         vertex_basis(projected_weights(z[m], f), ones[m])
         for m, f in zip(members, factors, strict=True)
     ]
-    updated = updated_view_basis(coloured, members, bases, factors, ones, 3, 3)
+    updated = _updated(coloured, members, bases, factors, 3)
 
     def captured(by_term):
         unfolded = np.concatenate(
@@ -87,7 +97,7 @@ def test_update_is_the_best_for_its_light_and_vertex_bases(glossy):
         vertex_basis(projected_weights(z[m], f), ones[m])
         for m, f in zip(members, factors, strict=True)
     ]
-    updated = updated_view_basis(glossy, members, bases, factors, ones, 3)
+    updated = _updated(glossy, members, bases, factors)
 
     unfolded = np.concatenate(
         [

@@ -101,27 +101,16 @@ class BudgetJobs:
     def __init__(self, scene: EffectScene, store: BlobStore, data: Path) -> None:
         self.scene, self.store = scene, store
         self.references: list[str | None] = [None] * len(HELD_OUT)
+        fields, context = scene.registered(store, data)
         self.request = {
             "kind": "asset",
             "mesh": f"mesh-{NO_RESOURCE}",
             "environment": f"environment-{NO_RESOURCE}",
             "settings": LATER,
-            **scene.request,
+            **fields,
         }
-        self.context: dict[str, Any] = {
-            "mesh": registered(store, "mesh", **scene.mesh(store, data)),
-            "environment": registered(store, "environment", builtin=SKY),
-            "brdf": {"spec": scene.request["brdf"]},
-            "albedo_texture": None,
-            "materials": {
-                name: {"spec": material["brdf"]}
-                for name, material in scene.request.get("materials", {}).items()
-            },
-            "artefacts": {},
-        }
-        if scene.texture is not None:
-            digest = store.put_bytes(scene.texture(data))
-            self.request["albedo_texture"] = self.context["albedo_texture"] = digest
+        sky = registered(store, "environment", builtin=SKY)
+        self.context: dict[str, Any] = {**context, "environment": sky}
 
     def run(self, budget: dict[str, float]) -> tuple[dict[str, Any] | str, float]:
         """Run a job; its result with its files by name, or why it was refused, and its seconds."""

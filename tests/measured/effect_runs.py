@@ -23,7 +23,7 @@ from prtbake_storage.contract.settings import BakeSettings, Effects
 from prtbake_storage.hdf5.transfer import TransferFile, open_transfer
 from prtbake_storage.queue.stages import Results, Stage
 from prtbake_workers.jobs.registry import REGISTRY
-from support.local_stages import registered, run_stage
+from support.local_stages import run_stage
 
 LAST = "join"
 VERTICES_AT_ONCE = 4096
@@ -54,25 +54,13 @@ class Bakes:
         self, scene: EffectScene, store: BlobStore, data: Path, settings: BakeSettings
     ) -> None:
         self.store = store
+        fields, self.context = scene.registered(store, data)
         self.request = {
             "kind": "bake",
             "mesh": "mesh-0000000000000000",
             "settings": settings.model_dump(mode="json"),
-            **scene.request,
+            **fields,
         }
-        self.context = {
-            "mesh": registered(store, "mesh", **scene.mesh(store, data)),
-            "brdf": {"spec": scene.request["brdf"]},
-            "albedo_texture": None,
-            "materials": {
-                name: {"spec": material["brdf"]}
-                for name, material in scene.request.get("materials", {}).items()
-            },
-            "artefacts": {},
-        }
-        if scene.texture is not None:
-            digest = store.put_bytes(scene.texture(data))
-            self.request["albedo_texture"] = self.context["albedo_texture"] = digest
 
     def run(self, switches: Switches) -> Run:
         """Bake with switches thrown."""

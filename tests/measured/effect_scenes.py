@@ -13,6 +13,7 @@ from prtbake_workers.planning.presets import resolve_stages
 from prtbake_workers.render.images import png_bytes, to_srgb8
 from support.bounce_scenes import ball
 from support.coloured_box import SUZANNE, WALL_COLOURS, suzanne_in_a_box
+from support.local_stages import registered
 from support.obj_file import obj_bytes
 
 SETTINGS: BakeSettings = resolve_stages(
@@ -37,6 +38,21 @@ class EffectScene:
     mesh: Registration
     request: Mapping[str, Any] = field(default_factory=dict)
     texture: Callable[[Path], bytes] | None = None
+
+    def registered(self, store: BlobStore, data: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Register mesh and texture; the request's fields and the context that names them."""
+        digest = None if self.texture is None else store.put_bytes(self.texture(data))
+        context = {
+            "mesh": registered(store, "mesh", **self.mesh(store, data)),
+            "brdf": {"spec": self.request["brdf"]},
+            "albedo_texture": digest,
+            "materials": {
+                name: {"spec": material["brdf"]}
+                for name, material in self.request.get("materials", {}).items()
+            },
+            "artefacts": {},
+        }
+        return {**self.request, **({} if digest is None else {"albedo_texture": digest})}, context
 
 
 def file(name: str) -> Registration:

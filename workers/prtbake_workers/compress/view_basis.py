@@ -4,14 +4,14 @@ Colour channels share it as well: to the view mode each channel of a vertex is a
 A row of transfer is a term, or with channels a term of one of them: row c * terms + k.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_workers.arrays import F32, F64, I32, Float32, Float64
+from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress.cluster_factors import ClusterFactors
 from prtbake_workers.compress.energy import CHUNK_BYTES, row_chunks, row_energy
 from prtbake_workers.compress.gram_eigh import leading_eigenvectors
@@ -52,25 +52,6 @@ def _view_gram(
     return np.asarray(sum(grams, np.zeros((n_terms, n_terms))))
 
 
-def updated_view_basis(
-    transfer: Rows,
-    members: Sequence[I32],
-    vertex_bases: Sequence[F64],
-    factors: Sequence[ClusterFactors],
-    root_weights: Float64[F64, " verts"],
-    rank: int,
-    n_channels: int = 1,
-) -> Float32[F32, "terms r_view"]:
-    """Return the best U_view for given light and vertex bases ([Tsai2006]_ eq. 19)."""
-
-    def gram_of(index: int) -> F64:
-        verts = members[index]
-        bases = vertex_bases[index], factors[index], root_weights[verts]
-        return view_gram_of_cluster(transfer[verts], *bases, n_channels)
-
-    return view_basis_of_grams(map_in_order(gram_of, range(len(members))), rank)
-
-
 def view_gram_of_cluster(
     transfer: Float32[F32, "members rows coeffs"],
     vertex_basis: Float64[F64, "members kept"],
@@ -95,7 +76,7 @@ def view_gram_of_cluster(
 def view_basis_of_grams(
     grams: Iterable[Float64[F64, "terms terms"]], rank: int
 ) -> Float32[F32, "terms r_view"]:
-    """Return the leading eigenvectors of the sum of all clusters' Gram matrices, in order."""
+    """Return the best U_view for all clusters' light and vertex bases ([Tsai2006]_ eq. 19)."""
     first, *others = grams
     return leading_eigenvectors(sum(others, first), rank)[1].astype(np.float32, order="C")
 

@@ -34,10 +34,9 @@ from prtbake_workers.jobs.search_stages import (
     numbered,
     unshared,
     view,
-    wall_seconds,
 )
 from prtbake_workers.jobs.shared_stages import attempted
-from prtbake_workers.jobs.work import asset_work
+from prtbake_workers.jobs.work import asset_work, wall_seconds
 from prtbake_workers.planning.error_search import MOST_COMPRESSIONS
 
 MOST_SAMPLES = 16384

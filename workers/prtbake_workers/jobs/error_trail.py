@@ -6,7 +6,7 @@ search stands follows from them.
 
 from dataclasses import dataclass, field, replace
 from math import isfinite
-from typing import Any, get_args
+from typing import Any
 
 from prtbake_storage.contract.jobs import AssetRequest
 from prtbake_storage.contract.light import FitLightSettings
@@ -30,7 +30,8 @@ from prtbake_workers.planning.error_search import (
     predicted_errors,
     share_to_aim_at,
 )
-from prtbake_workers.planning.presets import StageSettings, resolve_stages
+from prtbake_workers.planning.ladder_steps import legal_steps
+from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.report.account import pooled_budget
 
 REMEDIES = {
@@ -336,17 +337,9 @@ def ladder_of(request: AssetRequest) -> tuple[list[Rung], list[FitLightSettings]
     """
     rungs: list[Rung] = []
     lights: list[FitLightSettings] = []
-    refused: SettingsError | None = None
-    for quality in get_args(Quality):
-        try:
-            settings = resolve_stages(quality, request.settings)
-        except SettingsError as error:
-            refused = error
-            continue
+    for quality, settings in legal_steps(request.settings):
         if settings.fit_light not in lights:
             lights.append(settings.fit_light)
         if all(settings.bake != other.settings.bake for other in rungs):
             rungs.append(Rung(quality, settings, lights.index(settings.fit_light)))
-    if not rungs and refused is not None:
-        raise refused
     return rungs, lights

@@ -39,7 +39,6 @@ from prtbake_workers.jobs import calibrate, study_estimate
 from prtbake_workers.jobs.compress import compressions_of, work_of
 from prtbake_workers.jobs.lights import check_light, light_source
 from prtbake_workers.jobs.plan import arguments, plan_scene
-from prtbake_workers.jobs.time_budget import legal_steps
 from prtbake_workers.jobs.validate import check_kinship, scene_of
 from prtbake_workers.jobs.work import (
     Work,
@@ -48,6 +47,7 @@ from prtbake_workers.jobs.work import (
     fit_samples,
     n_texels,
     rates_of,
+    wall_seconds,
 )
 from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_cost, expected_sizes
@@ -58,6 +58,7 @@ from prtbake_workers.planning.file_bytes import (
     known_bytes,
     light_bytes,
 )
+from prtbake_workers.planning.ladder_steps import legal_steps
 from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.picture_bytes import (
     preview_files,
@@ -72,7 +73,6 @@ from prtbake_workers.planning.presets import (
     below_quality,
     resolve_stages,
 )
-from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_memory import (
     Lobe,
@@ -170,7 +170,7 @@ def _scene(
     settings, quality = _settings(request)
     args = arguments(body, given, settings, quality)
     if isinstance(request, AssetRequest) and request.budget is not None:
-        args["steps"] = {name: own.to_dict() for name, own in legal_steps(request)[1:]}
+        args["steps"] = {name: own.to_dict() for name, own in legal_steps(request.settings)[1:]}
     planned, plan = plan_scene(args, store)
     alone = isinstance(request, BakeRequest)
     resolved = replace(settings, bake=BakeSettings.model_validate(planned.header["bake"]))
@@ -422,17 +422,8 @@ def _only(
 def _durations(
     work: Mapping[str, Mapping[str, float]], given: dict[str, Any]
 ) -> tuple[dict[str, float], float]:
-    """Predict the seconds of every stage, and how long the job lasts.
-
-    The tasks of a stage share the slots of all live workers.
-    """
-    slots = max(1, int(given.get("tile_slots", 1)))
-    seconds = rates_of(given).all_seconds(work)
-    lasting = sum(
-        own / max(1.0, min(slots, work[stage].get("tasks", 1))) + BETWEEN_STAGES_S
-        for stage, own in seconds.items()
-    )
-    return seconds, lasting
+    """Predict the seconds of every stage, and how long the job lasts."""
+    return rates_of(given).all_seconds(work), wall_seconds(work, given, work)
 
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:

@@ -11,8 +11,7 @@ from typing import Any
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import leaving
-from prtbake_workers.jobs.work import rates_of
-from prtbake_workers.planning.rates import BETWEEN_STAGES_S
+from prtbake_workers.jobs.work import wall_seconds
 
 BAKE = ("plan", "bake", "scattering", "bounces", "add_bounces", "join")
 """Stages from a request to its transfer."""
@@ -59,19 +58,6 @@ def limit(stage: Stage, until: Callable[[Results], float | None]) -> Stage:
         return listed if when is None else [leaving.until(task, when) for task in listed]
 
     return replace(stage, tasks=tasks)
-
-
-def wall_seconds(
-    work: Mapping[str, Mapping[str, float]], context: Mapping[str, Any], stages: Iterable[str]
-) -> float:
-    """Predict by the clock: the tasks of a stage share the slots that live at submission."""
-    rates, slots = rates_of(context), max(1, int(context.get("tile_slots", 1)))
-    return sum(
-        rates.stage_seconds(stage, work[stage]) / max(1.0, min(slots, work[stage].get("tasks", 1)))
-        + BETWEEN_STAGES_S
-        for stage in stages
-        if stage in work and any(work[stage].values())
-    )
 
 
 def check_least(

@@ -6,10 +6,10 @@ attempt that runs late leave, and the best so far is delivered.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, get_args
+from typing import Any
 
 from prtbake_storage.contract.jobs import AssetRequest
-from prtbake_storage.contract.settings import Quality, ValidateSettings
+from prtbake_storage.contract.settings import ValidateSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import bake, clock, compress, fit_light, render, validate
@@ -26,12 +26,11 @@ from prtbake_workers.jobs.search_stages import (
     seconds_of,
     unshared,
     view,
-    wall_seconds,
 )
-from prtbake_workers.jobs.work import asset_work, fit_samples, n_texels
-from prtbake_workers.planning.ladder_steps import making_seconds
+from prtbake_workers.jobs.work import asset_work, fit_samples, n_texels, wall_seconds
+from prtbake_workers.planning.ladder_steps import legal_steps, making_seconds
 from prtbake_workers.planning.later_stages import later_work
-from prtbake_workers.planning.presets import StageSettings, resolve_stages
+from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.time_search import (
@@ -73,7 +72,7 @@ class TimeSearch:
         if self._parsed.budget is None or self._parsed.budget.max_seconds is None:
             raise ValueError("a search for a time needs one")
         self._seconds = self._parsed.budget.max_seconds
-        self._ladder = legal_steps(self._parsed)
+        self._ladder = legal_steps(self._parsed.settings)
         self._bakes = [
             {stage.name: stage for stage in bake.stages(request, context, settings, quality)}
             for quality, settings in self._ladder
@@ -327,23 +326,3 @@ class TimeSearch:
     def delivered(self, results: Results) -> Results:
         """Give the stages behind what is delivered, by the names that they have in other jobs."""
         return view(results, self._names(results))
-
-
-def legal_steps(request: AssetRequest) -> list[tuple[Quality, StageSettings]]:
-    """Resolve the ladder with a request's overrides; what they forbid is left out.
-
-    Raises
-    ------
-    SettingsError
-        They are legal at no step.
-    """
-    found: list[tuple[Quality, StageSettings]] = []
-    refused: SettingsError | None = None
-    for quality in get_args(Quality):
-        try:
-            found.append((quality, resolve_stages(quality, request.settings)))
-        except SettingsError as error:
-            refused = error
-    if not found and refused is not None:
-        raise refused
-    return found

@@ -1,6 +1,6 @@
 """The work of a job's stages, for estimates, reports and what later jobs are predicted by."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from prtbake_storage.contract.light import FitLightSettings
@@ -14,7 +14,7 @@ from prtbake_workers.planning.later_stages import (
 )
 from prtbake_workers.planning.light_pieces import FitSamples
 from prtbake_workers.planning.presets import StageSettings
-from prtbake_workers.planning.rates import Rates
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S, Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.uncounted import untaught
 
@@ -97,6 +97,19 @@ def done_work(kind: str, results: Results, context: Mapping[str, Any]) -> Work:
 def rates_of(context: Mapping[str, Any]) -> Rates:
     """Give the rates as they were when the job was submitted."""
     return Rates.from_dict(context.get("rates"))
+
+
+def wall_seconds(
+    work: Mapping[str, Mapping[str, float]], context: Mapping[str, Any], stages: Iterable[str]
+) -> float:
+    """Predict by the clock: the tasks of a stage share the slots that live at submission."""
+    rates, slots = rates_of(context), max(1, int(context.get("tile_slots", 1)))
+    return sum(
+        rates.stage_seconds(stage, work[stage]) / max(1.0, min(slots, work[stage].get("tasks", 1)))
+        + BETWEEN_STAGES_S
+        for stage in stages
+        if stage in work and any(work[stage].values())
+    )
 
 
 def learnt(kind: str, results: Results, context: Mapping[str, Any]) -> NewRates | None:

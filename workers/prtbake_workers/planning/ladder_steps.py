@@ -38,6 +38,26 @@ class StepCost:
     resolution: Resolution
 
 
+def legal_steps(overrides: AssetSettings) -> list[tuple[Quality, StageSettings]]:
+    """Resolve the ladder with a request's overrides, lowest first; what they forbid is left out.
+
+    Raises
+    ------
+    SettingsError
+        They are legal at no step.
+    """
+    found: list[tuple[Quality, StageSettings]] = []
+    refused: SettingsError | None = None
+    for quality in get_args(Quality):
+        try:
+            found.append((quality, resolve_stages(quality, overrides)))
+        except SettingsError as error:
+            refused = error
+    if not found and refused is not None:
+        raise refused
+    return found
+
+
 def neighbours(quality: Quality, overrides: AssetSettings) -> dict[Quality, StageSettings]:
     """Resolve the qualities beside one, with the same overrides; what they forbid is left out."""
     ladder = list(get_args(Quality))
