@@ -10,17 +10,13 @@ from prtbake_workers.compress.nearest_means import NearestMeans, centred_means
 
 def _start(signal, means):
     near = NearestMeans(signal, means, row_energy(signal))
-    labels, best = np.zeros(len(signal), np.int32), np.full(len(signal), np.inf)
-    near.move(labels, best, means)
-    return near, labels, best
+    labels = np.zeros(len(signal), np.int32)
+    assert near.move(labels, means) == len(signal)
+    return near, labels
 
 
 def _exact(signal, means):
     return np.sum((signal[:, None].astype(float) - means[None].astype(float)) ** 2, axis=2)
-
-
-def _measured(signal, labels, means):
-    return row_energy(signal - means[labels])
 
 
 @pytest.mark.parametrize("constant", [0.0, 300.0])
@@ -28,17 +24,15 @@ def _measured(signal, labels, means):
 def test_everyone_is_at_its_nearest_mean_as_means_drift(rng, scale, constant):
     signal = ((rng.standard_normal((400, 20)) + constant) * scale).astype(np.float32)
     means = signal[:15].copy()
-    near, labels, best = _start(signal, means)
+    near, labels = _start(signal, means)
     for step in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003):
         means += (step * scale * rng.standard_normal(means.shape)).astype(np.float32)
-        best[:] = _measured(signal, labels, means)
-        near.move(labels, best, means)
+        near.move(labels, means)
         exact = _exact(signal, means)
         own = exact[np.arange(len(signal)), labels]
         # a tie to float32: differences of numbers as large as the constant
         slack = 1e-5 * own + (1e-6 * scale * max(1.0, constant)) ** 2 * 20
         assert np.all(own <= exact.min(axis=1) + slack)
-        np.testing.assert_array_equal(best, _measured(signal, labels, means))
 
 
 def test_bounds_change_nobodys_cluster(rng, monkeypatch):
@@ -48,12 +42,11 @@ def test_bounds_change_nobodys_cluster(rng, monkeypatch):
 
     def run():
         noise, own = np.random.default_rng(1), means.copy()
-        near, labels, best = _start(signal, own)
+        near, labels = _start(signal, own)
         found = [labels.copy()]
         for step in drifts:
             own += (step * noise.standard_normal(own.shape)).astype(np.float32)
-            best[:] = _measured(signal, labels, own)
-            near.move(labels, best, own)
+            near.move(labels, own)
             found.append(labels.copy())
         return np.array(found)
 
@@ -68,21 +61,50 @@ def test_vertices_that_stay_cost_no_product(rng):
     centres = 50.0 * rng.standard_normal((6, 8))
     signal = (np.repeat(centres, 30, axis=0) + rng.standard_normal((180, 8))).astype(np.float32)
     means = centres.astype(np.float32)
-    near, labels, best = _start(signal, means)
-    assert len(near._active(slice(0, 180), labels, best)) == 0
+    near, labels = _start(signal, means)
+    assert len(near._active(slice(0, 180), labels)) == 0
+    # its own mean is far away at once: whoever is in that cluster looks again, nobody else
+    means[2] += 100.0
+    near._follow(labels, means)
+    active = near._active(slice(0, 180), labels)
+    assert set(np.flatnonzero(labels == 2)) <= set(active.tolist())
     near._gone = near._gone + 1e3
-    assert len(near._active(slice(0, 180), labels, best)) == 180
+    assert len(near._active(slice(0, 180), labels)) == 180
+
+
+def test_the_reach_bounds_the_distance_to_the_own_mean(rng):
+    signal = (rng.standard_normal((300, 16)) + 3.0).astype(np.float32)
+    means = signal[:7].copy()
+    near, labels = _start(signal, means)
+    for step in (0.3, 0.1, 0.03):
+        means += (step * rng.standard_normal(means.shape)).astype(np.float32)
+        near._follow(labels, means)
+        near._labels = labels.copy()
+        own = np.sqrt(_exact(signal, means)[np.arange(300), labels])
+        assert np.all(own <= near._reach * (1.0 + nearest_means.BOUND_ROUNDING))
+    # triangles: no wider than what the means went, there and back
+    assert np.all(near._reach <= own + 2.0 * near._gone[labels] + 1e-3)
+
+
+def test_a_vertex_that_others_moved_looks_again(rng):
+    centres = 50.0 * rng.standard_normal((4, 8))
+    signal = (np.repeat(centres, 20, axis=0) + rng.standard_normal((80, 8))).astype(np.float32)
+    means = centres.astype(np.float32)
+    near, labels = _start(signal, means)
+    expected = labels.copy()
+    labels[7] = 3
+    assert near.move(labels, means) == 1
+    np.testing.assert_array_equal(labels, expected)
 
 
 def test_a_mean_that_jumps_onto_a_vertex_takes_it(rng):
     signal = rng.standard_normal((200, 10)).astype(np.float32)
     means = np.concatenate([signal[:4], np.full((1, 10), 100.0, np.float32)])
-    near, labels, best = _start(signal, means)
+    near, labels = _start(signal, means)
     assert not np.any(labels == 4)
     means[4] = signal[77]
-    near.move(labels, best, means)
+    near.move(labels, means)
     assert labels[77] == 4
-    assert best[77] == 0.0
 
 
 def test_centred_means_give_distances_up_to_the_vertex_own(rng):

@@ -44,7 +44,7 @@ class Clustering:
     means
         Mean signal of each cluster.
     squared_distances
-        Squared distance of each vertex to its mean, without its weight.
+        Squared distance of each vertex to its mean, without its weight; up to date for `Improve`.
     """
 
     labels: I32
@@ -137,23 +137,27 @@ def lbg(
     unit = float(np.sqrt(energy / weights.sum())) if energy > 0.0 else 1.0
     for iteration in range(max_iterations):
         if coherence is None or iteration == 0:
-            n_moved = nearest.move(state.labels, state.squared_distances, state.means)
+            n_moved = nearest.move(state.labels, state.means)
         else:
             n_moved = _classify_coherently(signal, state, coherence, unit)
-        filled = refill_empty_clusters(
-            signal, state.labels, state.squared_distances, weights, n_clusters
-        )
-        for cluster, _ in filled:
-            state.squared_distances[state.labels == cluster] = np.inf
-        moving.update(state.labels, state.means, state.squared_distances)
+        if np.bincount(state.labels, minlength=n_clusters).min() == 0:
+            moving.measure(state.labels, state.means, state.squared_distances)
+            refill_empty_clusters(
+                signal, state.labels, state.squared_distances, weights, n_clusters
+            )
+        moving.update(state.labels, state.means)
+        distortion = moving.distortion
         if improve is not None:
+            moving.measure(state.labels, state.means, state.squared_distances)
             n_moved += improve(signal[:], state, weights)
-        trace.append(float(weights @ state.squared_distances))
+            distortion = float(weights @ state.squared_distances)
+        trace.append(distortion)
         progress((iteration + 1) / max_iterations, f"clustering, error {trace.ratio:.3%}")
         if n_moved == 0 or trace.has_converged(tolerance):
             break
         if iteration + 1 < max_iterations and not trace.has_time():
             break
+    moving.measure(state.labels, state.means, state.squared_distances)
     return LbgResult(state.labels, state.means, trace.values, state.squared_distances)
 
 
@@ -220,8 +224,6 @@ def _classify_coherently(signal: Rows, state: Clustering, coherence: Coherence, 
         proposed = cheapest_clusters(places, chunk, state.labels, distances)
         movers = np.flatnonzero(proposed != state.labels[chunk])
         state.labels[chunk][movers] = proposed[movers]
-        distance = row_energy(rows[movers] - state.means[proposed[movers]])
-        state.squared_distances[chunk][movers] = distance
         return len(movers)
 
     return sum(map_in_order(move, row_chunks(signal)))

@@ -61,10 +61,13 @@ class NearestMeans:
         self._signal, self._lengths = signal, np.sqrt(energy)
         self._origin: F32 = means.mean(axis=0, dtype=np.float64).astype(np.float32)
         self._last: F32 | None = None
+        self._labels: I32 = np.full(len(signal), -1, np.int32)
         self._gone: F64 = np.zeros(len(means))
         n_bytes = 4 * len(signal) * len(means)
         # lower bound of a distance, plus all that its mean had gone when it was taken
         self._bounds: F32 | None = None
+        # upper bound of the distance to the own mean
+        self._reach: F64 = np.full(len(signal), np.inf)
         self._about: F64 | None = None
         if n_bytes <= MOST_BOUND_BYTES:
             self._bounds = np.full((len(signal), len(means)), -np.inf, np.float32)
@@ -73,16 +76,15 @@ class NearestMeans:
     def move(
         self,
         labels: Int32[I32, " verts"],
-        squared_distances: Float64[F64, " verts"],
         means: Float32[F32, "clusters dims"],
     ) -> int:
-        """Move each vertex to its nearest mean; return how many moved.
+        """Move each vertex to its nearest mean; return how many moved, the first time all.
 
         Parameters
         ----------
-        labels, squared_distances
-            Cluster of each vertex and its squared distance to that mean, infinite before it has
-            one; both change in place.
+        labels
+            Cluster of each vertex, which changes in place; the first time, of nobody.  Others may
+            have changed it since the last call.
         means
             Of the clusters; any of them may have moved since the last call.
 
@@ -91,43 +93,58 @@ class NearestMeans:
         A product ranks the means.  A vertex moves only when its squared distance, taken as the
         difference itself, falls: rounding in the product moves nobody.
         """
-        if self._last is not None:
-            self._gone = self._gone + np.sqrt(row_energy(means - self._last))
-        self._last = means.copy()
+        first = self._last is None
+        self._follow(labels, means)
         about = centred_means(means, self._origin)
         # (dims, clusters) in the product; doubling is exact
-        doubled = -2.0 * about.centred
+        doubled, constant = -2.0 * about.centred, about.constant.astype(np.float32)
 
         def move(chunk: slice) -> int:
-            own, best = labels[chunk], squared_distances[chunk]
-            rows, active = self._signal[chunk], self._active(chunk, own, best)
+            own = labels[chunk]
+            rows, active = self._signal[chunk], self._active(chunk, own)
             if len(active) < len(own):
                 rows = rows[active]
             ranked = rows @ doubled.T
-            proposed = np.argmin(ranked + about.constant, axis=1).astype(np.int32)
-            self._renew(chunk, active, ranked, about)
+            ranked += constant
+            proposed = np.argmin(ranked, axis=1).astype(np.int32)
             there = own[active]
-            movers = np.flatnonzero((proposed != there) | np.isinf(best[active]))
-            distance = row_energy(rows[movers] - means[proposed[movers]])
-            nearer = distance < best[active[movers]]
-            movers, distance = movers[nearer], distance[nearer]
+            movers = np.arange(len(there)) if first else np.flatnonzero(proposed != there)
+            if not first:
+                candidates = rows[movers]
+                nearer = row_energy(candidates - means[proposed[movers]]) < row_energy(
+                    candidates - means[there[movers]]
+                )
+                movers = movers[nearer]
             own[active[movers]] = proposed[movers]
-            best[active[movers]] = distance
+            self._renew(chunk, active, ranked, own[active], about)
             return len(movers)
 
-        return sum(map_in_order(move, row_chunks(self._signal, CHUNK_BYTES)))
+        n_moved = sum(map_in_order(move, row_chunks(self._signal, CHUNK_BYTES)))
+        self._labels = labels.copy()
+        return n_moved
 
-    def _active(self, chunk: slice, labels: I32, squared_distances: F64) -> I64:
+    def _follow(self, labels: I32, means: F32) -> None:
+        """Widen the bounds by what means, and vertices that others moved, have gone."""
+        if self._last is not None:
+            step = np.sqrt(row_energy(means - self._last))
+            self._gone = self._gone + step
+            known = labels == self._labels
+            self._reach = np.where(known, self._reach + step[labels], np.inf)
+        self._last = means.copy()
+
+    def _active(self, chunk: slice, labels: I32) -> I64:
         """Return the vertices of a chunk that may have a nearer mean."""
         if self._bounds is None:
             return np.arange(len(labels), dtype=np.int64)
         least = self._bounds[chunk] - self._gone.astype(np.float32)
         least[np.arange(len(labels)), labels] = np.inf
         slack = BOUND_ROUNDING * self._gone.max()
-        distance = np.sqrt(squared_distances) * (1.0 + BOUND_ROUNDING) + slack
-        return np.flatnonzero(least.min(axis=1) <= distance)
+        reach = self._reach[chunk] * (1.0 + BOUND_ROUNDING) + slack
+        return np.flatnonzero(least.min(axis=1) <= reach)
 
-    def _renew(self, chunk: slice, active: I64, ranked: F32, about: CentredMeans) -> None:
+    def _renew(
+        self, chunk: slice, active: I64, ranked: F32, labels: I32, about: CentredMeans
+    ) -> None:
         """Make bounds of what the product gave; ``ranked`` is overwritten."""
         if self._bounds is None or self._about is None:
             return
@@ -137,8 +154,9 @@ class NearestMeans:
         error = share * (
             squares + np.abs(about.constant).max() + 2.0 * lengths * about.lengths.max()
         )
-        ranked += about.constant.astype(np.float32)
         ranked += (squares - error).astype(np.float32)[:, None]
+        own = ranked[np.arange(len(active)), labels] + 2.0 * error
+        self._reach[chunk][active] = np.sqrt(np.maximum(own, 0.0))
         np.maximum(ranked, 0.0, out=ranked)
         np.sqrt(ranked, out=ranked)
         ranked += self._gone.astype(np.float32)
@@ -147,6 +165,5 @@ class NearestMeans:
 
 def row_energy_about(signal: Rows, origin: Float32[F32, " dims"]) -> Float64[F64, " verts"]:
     """Return the squared distance of each row to one point."""
-    return np.concatenate(
-        [row_energy(signal[chunk] - origin) for chunk in row_chunks(signal, CHUNK_BYTES)]
-    )
+    chunks = row_chunks(signal, CHUNK_BYTES)
+    return np.concatenate(map_in_order(lambda chunk: row_energy(signal[chunk] - origin), chunks))
