@@ -48,15 +48,17 @@ NAMES = (
     "shaderball",
 )  # fmt: skip
 TARGETS = {
-    "icosphere-plane": (0.15, 0.1, 0.07, 0.055, 0.042),
-    "teapot": (0.18, 0.13, 0.1, 0.08, 0.065),
-    "bunny-grey": (0.18, 0.13, 0.1, 0.08, 0.065),
+    "icosphere-plane": (0.15, 0.1, 0.07, 0.057, 0.05),
+    "teapot": (0.18, 0.13, 0.1, 0.085, 0.075),
+    "bunny-grey": (0.15, 0.1, 0.07, 0.05, 0.037),
     "bunny-plane": (0.18, 0.13, 0.1, 0.08, 0.065),
-    "suzanne-box": (0.18, 0.13, 0.1, 0.08, 0.065),
-    "spot": (0.2, 0.14, 0.1, 0.08, 0.065),
-    "fandisk": (0.2, 0.14, 0.1, 0.08, 0.065),
-    "shaderball": (0.25, 0.18, 0.13, 0.1, 0.08),
+    "suzanne-box": (0.25, 0.19, 0.15, 0.125, 0.108),
+    "spot": (0.2, 0.14, 0.1, 0.075, 0.06),
+    "fandisk": (0.3, 0.22, 0.18, 0.15, 0.132),
+    "shaderball": (0.25, 0.18, 0.14, 0.115, 0.097),
 }
+"""Relative; the last of each a little above what can be asked for, as a refusal of 0.1 % told."""
+
 TIMES = dict.fromkeys(NAMES, (30.0, 120.0)) | dict.fromkeys(NAMES[:4], (30.0, 60.0, 120.0))
 QUICK_TARGETS = (0.18,)
 QUICK_TIMES = (30.0,)
@@ -67,10 +69,10 @@ LATER = {
     "validation": {"width": 96, "height": 72, "passes": 8},
 }
 HELD_OUT = [
-    Camera(name=f"held-out-{index}", azimuth_deg=10.0 + 90.0 * index, elevation_deg=elevation)
-    for index, elevation in enumerate((15.0, 30.0, 22.0, 40.0))
+    Camera(name=f"held-out-{index}", azimuth_deg=40.0 + 90.0 * index, elevation_deg=elevation)
+    for index, elevation in enumerate((35.0, 18.0, 45.0, 25.0))
 ]
-TURNS = [(0.0, 8.0, 0.0), (0.0, 100.0, 0.0), (0.0, 235.0, 0.0)]
+TURNS = [(0.0, 44.0, 0.0), (0.0, 178.0, 0.0), (0.0, 313.0, 0.0)]
 BAKES = tuple(
     f"prtbake_workers.jobs.{name}"
     for name in (
@@ -87,10 +89,9 @@ ABOUT = f"""\
 Each scene, under the built-in sky with its sun, is asked for as an `asset` job with a budget in place of a quality; all
 tasks run in one process, one after the other. *Error* is that of the delivered file against the reference at {len(HELD_OUT)}
 cameras under {len(TURNS)} turns of the light each, which neither the search nor the job's own validation looked at, pooled
-over all of them; *share* is that over what was asked for. What a scene is asked for starts above what the least step of the
-ladder, or its mesh, leaves of it: those errors were chosen after one look at that. The least share that a
-search aims at was raised after four of these jobs (icosphere-plane at 15 %, spot at 20, 14 and 10 %) had been measured at these
-views: their rows are no test of it. Where a target cannot be met the job says so, and what can be asked for. *Seconds* of an error are those of the
+over all of them; *share* is that over what was asked for. What a scene is asked for starts a little above the least that can be, as
+the refusal of 0.1 % told: what the least step of the ladder, or its mesh, leaves. The least share that a search aims at
+was set by four jobs (icosphere-plane at 15 %, spot at 20, 14 and 10 %) at other held-out views. Where a target cannot be met the job says so, and what can be asked for. *Seconds* of an error are those of the
 job's tasks, one after the other; bakes that jobs of one scene have in common ran once, and count for each. Those of a
 time are by the clock."""
 
