@@ -113,7 +113,7 @@ def statements(rows: Sequence[Row]) -> list[Statement]:
             row.error < MOST_ERROR and row.ratio > LEAST_RATIO,
         )
         for row in rows
-        if row.method in (CTA, OWN)
+        if row.method == OWN
     ]
     for cta in rows:
         by_method = {row.method: row for row in rows if row.model == cta.model}
