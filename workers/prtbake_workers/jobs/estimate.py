@@ -279,6 +279,7 @@ def _asset_files(
         ],
         factorisations,
         [np.eye(3)[None] if own.frames is None else own.frames for own in header.parts],
+        n_centres=_bake_of(header.basis).n_centres or 0,
     )
     numbers = []
     scattering = header.provenance.get("scattering", ())

@@ -25,8 +25,10 @@ from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
 from prtbake_workers.jobs.materials import PartInput, part_inputs
 from prtbake_workers.jobs.media import make_dipole
+from prtbake_workers.jobs.rounding import SHARE
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
+    make_basis,
     occluder_accelerator,
     reflection_of,
     write_projection,
@@ -45,8 +47,10 @@ from prtbake_workers.planning.registers import check_planned_registers
 from prtbake_workers.planning.resolution import resolution_of
 from prtbake_workers.planning.seen_pixels import look
 from prtbake_workers.planning.stage_memory import Lobe
+from prtbake_workers.planning.stage_work import total
 from prtbake_workers.planning.step_errors import energy_left
 from prtbake_workers.planning.subsurface import decide_subsurface
+from prtbake_workers.planning.trial_compression import MOST_FUNCTIONS, Trials, try_parts
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.surface import OpaqueSurface
 
@@ -221,6 +225,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
             ],
             factorisations,
             [scene.frames[start:stop] for start, stop in scene.part_ranges],
+            n_centres=settings.planned_bake.n_centres or 0,
         ),
         view_channels=[own.n_channels for own in factorisations],
         lobes=[_lobe_of(brdf, own) for brdf, own in zip(brdfs, grain, strict=True)],
@@ -236,6 +241,15 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     )
 
     own = lay_out(part_terms=part_terms, settings=settings, quality=args["quality"])
+    trials = _trials(own, scene, factorisations, settings, seed=args["seed"] + 7)
+    if trials is not None:
+        lay_out = partial(
+            lay_out,
+            tried=trials.number_bytes,
+            probe_bytes=max(probe_bytes, trials.memory_bytes),
+            probe_work=total([probe_work, trials.work]),
+        )
+        own = lay_out(part_terms=part_terms, settings=settings, quality=args["quality"])
     resolution = resolution_of(own, settings, energy_left(spectra, part_terms))
 
     def cost_of(terms: list[int], settings: StageSettings, quality: Quality) -> StepCost:
@@ -266,6 +280,32 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         )
     header = _header(args, settings.bake, parts, plan, scattering.parts)
     return PlannedScene(scene, factorisations, textures, colours, header), plan
+
+
+def _trials(
+    plan: Plan,
+    scene: Scene,
+    factorisations: Sequence[Factorisation],
+    settings: StageSettings,
+    *,
+    seed: int,
+) -> Trials | None:
+    """Try the compression of every part, where the error that it leaves chooses the bits."""
+    asked, bake = settings.compress, settings.planned_bake
+    searched = (asked.max_error, asked.max_bytes) != (None, None)
+    if asked.bits != "auto" or searched or bake.n_coeffs > MOST_FUNCTIONS:
+        return None
+    return try_parts(
+        scene,
+        _accelerators(scene, [part.occluders for part in plan.parts]),
+        factorisations,
+        plan,
+        make_basis(bake.model_dump(mode="json")),
+        cube_resolution=bake.cube_resolution,
+        share=SHARE,
+        max_error=asked.max_quantisation_error,
+        seed=seed,
+    )
 
 
 def _header(

@@ -31,6 +31,9 @@ FILE_BYTES, ARRAY_BYTES = 4000, 310
 
 PROVENANCE_BYTES = 1500
 
+CENTRE_BYTES, LABEL_BYTES = 13.1, 0.2
+"""Of an SRBF's centre, three float64 of an icosphere, and of a vertex' label."""
+
 MANY_TERMS_SHARE, SHADOWED_SHARE, EVEN_SHARE = 0.85, 0.83, 0.74
 """Of 2 bytes a coefficient: of more terms than one, of one whose light the part itself or another
 blocks, and of one on a plane or in the open, which is smoother."""
@@ -44,21 +47,30 @@ SCALE_SHARE, ENERGY_SHARE = 0.28, 0.68
 
 Bits = Literal[8, 16, 32, "auto"]
 
-FACTOR_BYTES: dict[Bits, float] = {32: 3.6, 16: 1.9, 8: 0.82, "auto": 0.88}
+FACTOR_BYTES: dict[Bits, float] = {32: 3.48, 16: 1.9, 8: 0.82, "auto": 0.88}
 EVEN_FACTOR_BYTES = 0.53
 TEXTURE_BYTES: dict[Bits, float] = {32: 3.12, 16: 1.8, 8: 0.75, "auto": 0.55}
 """Of a number of factors and of view textures, by the bits that it is asked to have; of factors of
 even parts of one term, which no light scattered inside makes uneven, in bits that their error
 chooses, which is larger."""
 
-PART_ARRAYS, TRANSFER_ARRAYS, ASSET_ARRAYS = 10, 6, 9
-"""Of a part in either file, in transfer and in the asset beside; the mesh and the basis are 5."""
+PART_ARRAYS, TRANSFER_ARRAYS, ASSET_ARRAYS, TEXTURE_ARRAYS = 10, 6, 9, 5
+"""Of a part in either file, in transfer and in the asset beside, and where that has a view texture;
+the mesh and the basis are 5."""
 
 AVERAGED = 1.46
 """Error of a texture that averages its texels over one that samples them: 1.45 to 1.48 measured."""
 
 FINER = 3.5
 """By which twice the resolution divides the error of a view texture."""
+
+
+@dataclass(frozen=True)
+class NumberBytes:
+    """Bytes of a number of a part's factors, scales included, and of its view texture."""
+
+    factors: float
+    texture: float
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,8 @@ class PartNumbers:
     """What is counted of one part: vertices, rows (channels x terms), coefficients and factors.
 
     ``view_columns`` are those of the view texture, of all channels; ``even`` parts are planes, or
-    lie in the open; ``scattered`` ones have a medium that moves light inside them.
+    lie in the open; ``scattered`` ones have a medium that moves light inside them; ``tried`` is
+    what a trial found that their numbers take, where there was one and error chooses the bits.
     """
 
     n_verts: int
@@ -96,6 +109,7 @@ class PartNumbers:
     factor_floats: int
     view_columns: int
     scattered: bool = False
+    tried: NumberBytes | None = None
 
     @property
     def single(self) -> bool:
@@ -109,6 +123,8 @@ def known_bytes(
     parts: Sequence[Sequence[NDArray[Any]]],
     factorisations: Sequence[Factorisation],
     frames: Sequence[F64],
+    *,
+    n_centres: int = 0,
 ) -> KnownBytes:
     """Pack what is known.
 
@@ -120,8 +136,10 @@ def known_bytes(
         Of each, the arrays that all files hold as they are: texture, colours.
     factorisations, frames
         Of each part; frames are stored where a BRDF turns with them.
+    n_centres
+        SRBFs of the basis: other functions need no array.
     """
-    shared = packed_bytes(faces) + PROVENANCE_BYTES
+    shared = packed_bytes(faces) + PROVENANCE_BYTES + round(CENTRE_BYTES * n_centres)
     transfer, asset = shared, {16: shared, 32: shared}
     for place, array in enumerate(mesh):
         single = packed_bytes(array.astype(np.float32))
@@ -175,10 +193,19 @@ def asset_bytes(known: KnownBytes, parts: Sequence[PartNumbers], *, bits: Bits) 
     """Predict ``asset.h5``, or ``asset-float32.h5`` (32 bits)."""
     found = float(known.asset[32 if bits == 32 else 16] + _frame(len(parts), ASSET_ARRAYS))
     for part, texels in zip(parts, known.texels, strict=True):
-        even = part.even and part.single and not part.scattered and bits == "auto"
-        found += (EVEN_FACTOR_BYTES if even else FACTOR_BYTES[bits]) * part.factor_floats
-        found += TEXTURE_BYTES[bits] * texels * part.view_columns
+        found += LABEL_BYTES * part.n_verts + (ARRAY_BYTES * TEXTURE_ARRAYS if texels else 0)
+        each = number_bytes(part, bits)
+        found += each.factors * part.factor_floats + each.texture * texels * part.view_columns
     return round(found)
+
+
+def number_bytes(part: PartNumbers, bits: Bits) -> NumberBytes:
+    """Predict the bytes of a number of a part: by its trial, or by what parts have in the mean."""
+    if bits == "auto" and part.tried is not None:
+        return part.tried
+    even = part.even and part.single and not part.scattered and bits == "auto"
+    factors = EVEN_FACTOR_BYTES if even else FACTOR_BYTES[bits]
+    return NumberBytes(factors, TEXTURE_BYTES[bits])
 
 
 def asked_asset_bytes(

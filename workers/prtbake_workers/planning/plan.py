@@ -24,6 +24,7 @@ from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.expected_sizes import expected_cost
 from prtbake_workers.planning.file_bytes import (
     KnownBytes,
+    NumberBytes,
     light_bytes,
 )
 from prtbake_workers.planning.later_stages import later_memory, later_work
@@ -187,6 +188,7 @@ def make_plan(
     known: KnownBytes | None = None,
     view_channels: Sequence[int] = (),
     lobes: Sequence[Lobe] = (),
+    tried: Sequence[NumberBytes | None] = (),
 ) -> Plan:
     """Lay out parts and tiles, count their work, and predict what they hold and leave.
 
@@ -197,7 +199,8 @@ def make_plan(
     allowed, ``n_oriented`` how many parts have an anisotropic BRDF, ``probe_bytes`` the memory that
     choosing directions or centres took and ``probe_work`` its amounts, ``seen`` what the
     validation's cameras show, ``known`` what is known of the files, ``view_channels`` the channels
-    of each part's view side, 1 where none are given, ``lobes`` what their BRDFs are like.
+    of each part's view side, 1 where none are given, ``lobes`` what their BRDFs are like, ``tried``
+    what their factors were found to take a number.
     """
     bake = settings.planned_bake
     simulated = {part: media[part] for part in scattering}
@@ -329,6 +332,7 @@ def make_plan(
             n_coeffs=bake.n_coeffs,
             settings=settings.compress,
             scattering=bounces.scattering if bounces is not None else (),
+            tried=tried,
         )
         | {"light.h5": light_bytes(settings.fit_light)},
         memory_bytes=memory,

@@ -11,6 +11,7 @@ from prtbake_workers.planning.decision import Decision
 from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.file_bytes import (
     KnownBytes,
+    NumberBytes,
     PartNumbers,
     asked_asset_bytes,
     asset_bytes,
@@ -55,8 +56,12 @@ def artefact_bytes(
     n_coeffs: int,
     settings: CompressSettings,
     scattering: Collection[int] = (),
+    tried: Sequence[NumberBytes | None] = (),
 ) -> dict[str, int]:
-    """Predict the bytes of transfer and assets; parts in ``scattering`` scatter light inside."""
+    """Predict the bytes of transfer and assets; parts in ``scattering`` scatter light inside.
+
+    ``tried`` is what numbers of each part were found to take, empty where nothing was tried.
+    """
     numbers = [
         PartNumbers(
             n_verts=part.vertex_range[1] - part.vertex_range[0],
@@ -67,6 +72,7 @@ def artefact_bytes(
             factor_floats=part.cost.factor_floats,
             view_columns=part.compression.ranks[0] * channels,
             scattered=index in scattering,
+            tried=tried[index] if tried else None,
         )
         for index, (part, channels) in enumerate(zip(parts, view_channels, strict=True))
     ]

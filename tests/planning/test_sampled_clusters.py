@@ -1,0 +1,89 @@
+"""Vertices and transfer of a few clusters against the whole part's, as the bake has it."""
+
+import numpy as np
+import pytest
+
+from prtbake_workers.basis.srbf import SrbfBasis
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorise import factorise
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.icosphere import icosphere
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
+from prtbake_workers.planning.sampled_clusters import (
+    FEWEST_VERTS,
+    MOST_CLUSTERS,
+    MOST_VALUES,
+    MOST_VERTS,
+    SampledDirections,
+    draw_clusters,
+    sampled_coefficients,
+)
+from prtbake_workers.transport.bake import bake_block
+from prtbake_workers.transport.directions import cube_directions
+from support.bounce_scenes import ball
+
+BALL = Scene.from_parts([ball(4)])
+POT = Scene.from_parts([teapot(4), ball(1)])
+BASIS = SrbfBasis(icosphere(1))
+GLOSSY = factorise(CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1])), n_terms=3)
+
+
+def drawn(scene, part, n_clusters, n_values=100):
+    rng = np.random.default_rng(5)
+    return draw_clusters(scene, part, n_clusters, n_values=n_values, rng=rng)
+
+
+def test_clusters_lie_together():
+    verts, count = drawn(BALL, 0, 64)
+    assert count == MOST_CLUSTERS
+    assert len(set(verts)) == len(verts) <= MOST_CLUSTERS * len(BALL.positions) // 64
+    # a 64th of the sphere lies within 14.4 degrees of its middle; at random 1.6 % would
+    places = BALL.positions[verts]
+    near = (places @ places.T > np.cos(np.radians(2 * 14.5))).mean()
+    assert near > 1.0 / MOST_CLUSTERS - 0.01
+    rng = np.random.default_rng(1)
+    scattered = BALL.positions[rng.choice(len(BALL.positions), len(verts), replace=False)]
+    assert (scattered @ scattered.T > np.cos(np.radians(2 * 14.5))).mean() < 0.09
+
+
+@pytest.mark.parametrize("n_clusters", [1, 5, MOST_CLUSTERS])
+def test_few_clusters_are_drawn_from_all_over(n_clusters):
+    verts, count = drawn(POT, 1, n_clusters)
+    start, stop = POT.part_ranges[1]
+    assert count == n_clusters
+    assert list(verts) == list(range(start, stop))
+
+
+def test_many_values_leave_fewer_vertices():
+    few, count = drawn(BALL, 0, 20, n_values=MOST_VALUES // 300)
+    assert count == 300 // FEWEST_VERTS
+    assert len(few) <= 300
+    assert len(drawn(BALL, 0, 1)[0]) == MOST_VERTS
+
+
+def test_transfer_is_that_of_a_bake_in_these_directions():
+    accelerator = Accelerator(POT.positions, POT.faces)
+    directions = SampledDirections.of(BASIS, 32)
+    cube = cube_directions(8)
+    assert directions.at.n == cube.n  # 384 directions for 42 functions, the coarsest that does
+    verts, _ = drawn(POT, 0, 1)
+    found = sampled_coefficients(POT, verts, GLOSSY, accelerator, directions)
+    baked = bake_block(
+        POT,
+        accelerator,
+        POT.part_ranges[0],
+        factorisation=GLOSSY,
+        projection=BASIS.projection(cube.directions, cube.weights),
+        directions=cube,
+    ).coefficients[verts]
+    # float32 sums; a ray in a thousand may pass an edge on the other side
+    off = np.abs(found - baked) > 1e-4 * np.abs(baked).max(axis=(1, 2), keepdims=True)
+    assert off.mean() < 0.01
+    # negative twin: nothing blocks the light
+    bare = sampled_coefficients(POT, verts, GLOSSY, None, directions)
+    assert np.square(bare - baked).sum() > 1e-3 * np.square(baked).sum()
+
+
+def test_directions_are_no_finer_than_the_bake_s():
+    assert SampledDirections.of(BASIS, 5).at.n == 6 * 25

@@ -1,0 +1,99 @@
+"""Vertices of a few clusters of a part, and their transfer as a bake in few directions has it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtbake_workers.arrays import F32, I64, Float32, Int64
+from prtbake_workers.basis.incident import IncidentBasis
+from prtbake_workers.brdf.factorisation import Factorisation
+from prtbake_workers.geometry.accelerator import Accelerator
+from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
+from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.planning.probe import draw_by_area
+from prtbake_workers.planning.sampled_transfer import ProbeDirections, SampledTransfer
+
+MOST_CLUSTERS = 8
+FEWEST_CLUSTERS = 2
+MOST_VERTS, FEWEST_VERTS = 800, 96
+"""Of all clusters, and of each: fewer clusters are drawn where these are too many."""
+
+MOST_VALUES = 5_000_000
+"""Coefficients of all: 20 MB, and no more than a second's work."""
+
+RESOLUTIONS = (8, 12, 17, 32)
+"""Of cube maps with 2.5 directions a function, of up to 153, 345, 693 and 2457 functions."""
+
+
+@dataclass(frozen=True)
+class SampledDirections:
+    """Directions of a trial, and what takes samples in them to whitened coefficients."""
+
+    at: ProbeDirections
+    matrix: Float32[F32, "dirs coeffs"]
+
+    @classmethod
+    def of(cls, basis: IncidentBasis, cube_resolution: int) -> "SampledDirections":
+        """Take the coarsest cube map that resolves the basis, and none finer than the bake's."""
+        fine = (one for one in RESOLUTIONS if 6 * one**2 >= 2.5 * basis.n)
+        at = ProbeDirections.of_cube(min(cube_resolution, next(fine, cube_resolution)), 1)
+        projection = basis.projection(at.directions, at.root_weights**2)
+        # samples hold the root of their solid angle already
+        matrix = projection.matrix / at.root_weights[:, None]
+        return cls(at, matrix.astype(np.float32))
+
+
+def draw_clusters(
+    scene: Scene, part: int, n_clusters: int, *, n_values: int, rng: np.random.Generator
+) -> tuple[Int64[I64, " verts"], int]:
+    """Draw vertices of a part, and say of how many clusters they are.
+
+    A cluster is taken to be the vertices that are nearest to one in place and normal.  Of a part
+    that has no more clusters than are drawn, vertices are taken from all over it.
+
+    Parameters
+    ----------
+    n_clusters
+        That the part will be cut into.
+    n_values
+        Coefficients of a vertex.
+    """
+    start, stop = scene.part_ranges[part]
+    usable = np.abs(np.linalg.norm(scene.normals[start:stop], axis=1) - 1.0) < 1e-3
+    own = start + np.flatnonzero(usable)
+    most = min(MOST_VERTS, max(FEWEST_CLUSTERS * FEWEST_VERTS, MOST_VALUES // n_values))
+    drawn = min(n_clusters, max(FEWEST_CLUSTERS, min(MOST_CLUSTERS, most // FEWEST_VERTS)))
+    if drawn == n_clusters or not own.size:
+        return np.sort(rng.choice(own, min(most, len(own)), replace=False)), drawn
+    places = scene.positions[own] - scene.positions[own].mean(axis=0)
+    size = float(np.sqrt(np.mean(np.sum(places**2, axis=1))))
+    places = np.concatenate([places / max(size, 1e-30), scene.normals[own]], axis=1)
+    members = max(1, len(own) // n_clusters)
+    found = []
+    for middle in draw_by_area(scene.areas[own], drawn, rng):
+        distances = np.sum((places - places[middle]) ** 2, axis=1)
+        nearest = np.argpartition(distances, members - 1)[:members]
+        found.append(rng.choice(nearest, min(members, most // drawn), replace=False))
+    return own[np.unique(np.concatenate(found))], drawn
+
+
+def sampled_coefficients(
+    scene: Scene,
+    verts: Int64[I64, " verts"],
+    factorisation: Factorisation,
+    accelerator: Accelerator | None,
+    directions: SampledDirections,
+) -> Float32[F32, "verts terms coeffs"]:
+    """Bake vertices: direct light, all terms, one ray a direction."""
+    terms = factorisation.n_terms
+    sampled = SampledTransfer(
+        origins=offset_origins(
+            scene.ray_points[verts], scene.ray_sides[verts], ray_epsilon(scene.bounds)
+        ),
+        frames=scene.frames[verts],
+        factorisation=factorisation,
+        accelerator=accelerator,
+        mixing=np.broadcast_to(np.eye(terms, dtype=np.float32), (len(verts), terms, terms)),
+    )
+    found = sampled.sample(directions.at) @ directions.matrix
+    return np.asarray(found.reshape(len(verts), terms, -1), np.float32)
