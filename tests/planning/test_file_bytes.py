@@ -14,10 +14,12 @@ from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.brdf.phong import Phong
 from prtbake_workers.brdf.view_texture import fit_view_texture
+from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.planning.file_bytes import (
     FACTOR_BYTES,
     KnownBytes,
+    NumberBytes,
     PartNumbers,
     asked_asset_bytes,
     asset_bytes,
@@ -89,7 +91,7 @@ def test_more_of_anything_is_more_bytes():
     part = PartNumbers(2000, 8, 1, False, 162, 50_000, 4)
     base = transfer_bytes(known, [part]), asset_bytes(known, [part], bits=16)
     for field, value, grows in (
-        ("n_verts", 3000, (True, False)),
+        ("n_verts", 3000, (True, True)),  # their labels
         ("n_rows", 9, (True, False)),
         ("n_coeffs", 642, (True, False)),
         ("factor_floats", 60_000, (False, True)),
@@ -135,6 +137,31 @@ def test_factors_count_by_their_bits():
     for bits in (8, 16, 32, "auto"):
         more = asset_bytes(nothing, [many], bits=bits) - asset_bytes(nothing, [few], bits=bits)
         assert more == pytest.approx(FACTOR_BYTES[bits] * 20_000, abs=1.0)
+
+
+def test_what_a_trial_found_counts_where_error_chooses_the_bits():
+    known = KnownBytes(0, {16: 0, 32: 0}, (64,))
+    plain = PartNumbers(100, 1, 1, True, 42, 10_000, 3)
+    tried = PartNumbers(**plain.__dict__ | {"tried": NumberBytes(1.6, 0.2)})
+    none = PartNumbers(**plain.__dict__ | {"tried": NumberBytes(0.0, 0.0)})
+    found = asset_bytes(known, [tried], bits="auto") - asset_bytes(known, [none], bits="auto")
+    assert found == pytest.approx(1.6 * 10_000 + 0.2 * 64 * 3, abs=1.0)
+    # bits that are asked for are what they are
+    for bits in (8, 16, 32):
+        assert asset_bytes(known, [tried], bits=bits) == asset_bytes(known, [plain], bits=bits)
+
+
+@pytest.mark.parametrize("subdivisions", [2, 3])
+def test_centres_of_the_basis_are_counted(subdivisions, tmp_path):
+    centres = icosphere(subdivisions)
+    brdf = factorise(Lambert(HALF))
+    without, counted = (
+        known_bytes([MESH.positions], MESH.faces, [[]], [brdf], [np.eye(3)[None]], n_centres=count)
+        for count in (0, len(centres))
+    )
+    stored = stored_bytes(tmp_path / "file.h5", centres)
+    assert counted.transfer - without.transfer == pytest.approx(stored, rel=0.05)
+    assert counted.asset[16] - without.asset[16] == pytest.approx(stored, rel=0.05)
 
 
 def test_bytes_that_are_asked_for_are_predicted():

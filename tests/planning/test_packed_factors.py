@@ -87,9 +87,7 @@ def test_what_is_left_decides_the_bits():
 def test_an_error_that_is_given_counts_in_place_of_the_share():
     areas, coefficients = np.ones(N_VERTS), transfer(0.3)
     coarse, fine = (
-        factor_bytes(
-            coefficients, areas, 4, whole_part(CPCA), share=SHARE, max_error=error
-        ).factors
+        factor_bytes(coefficients, areas, 4, whole_part(CPCA), share=SHARE, max_error=error).factors
         for error in (1e-3, 1e-6)
     )
     # a thousandth of the error is five bits more

@@ -1,8 +1,9 @@
 """Predict the bytes of a job's files: what is known is packed, what will come is counted.
 
 Mesh, frames, tables of BRDFs and textures are there before the first ray: they are packed as the
-file will.  Coefficients and factors are noise in their low bits: they pack to much the same share
-of themselves whatever the scene.
+file will.  Coefficients are noise in their low bits: they pack to much the same share of themselves
+whatever the scene.  What factors take follows from what compression leaves: `trial_compression`
+tries it; where it does not, they are taken to have what they have in the mean.
 """
 
 from collections.abc import Mapping, Sequence

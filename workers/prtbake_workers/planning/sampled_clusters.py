@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtbake_workers.arrays import F32, I64, Float32, Int64
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.incident import IncidentBasis
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -13,13 +13,16 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.planning.probe import draw_by_area
 from prtbake_workers.planning.sampled_transfer import ProbeDirections, SampledTransfer
 
-MOST_CLUSTERS = 8
+MOST_CLUSTERS = 16
 FEWEST_CLUSTERS = 2
-MOST_VERTS, FEWEST_VERTS = 800, 96
+MOST_VERTS, FEWEST_VERTS = 800, 48
 """Of all clusters, and of each: fewer clusters are drawn where these are too many."""
 
 MOST_VALUES = 5_000_000
 """Coefficients of all: 20 MB, and no more than a second's work."""
+
+PLACE_BITS = 5
+"""Of each coordinate of a place along a space-filling curve."""
 
 RESOLUTIONS = (8, 12, 17, 32)
 """Of cube maps with 2.5 directions a function, of up to 153, 345, 693 and 2457 functions."""
@@ -61,6 +64,7 @@ def draw_clusters(
     start, stop = scene.part_ranges[part]
     usable = np.abs(np.linalg.norm(scene.normals[start:stop], axis=1) - 1.0) < 1e-3
     own = start + np.flatnonzero(usable)
+    own = own[np.argsort(_along_a_curve(scene.positions[own]), kind="stable")]
     most = min(MOST_VERTS, max(FEWEST_CLUSTERS * FEWEST_VERTS, MOST_VALUES // n_values))
     drawn = min(n_clusters, max(FEWEST_CLUSTERS, min(MOST_CLUSTERS, most // FEWEST_VERTS)))
     if drawn == n_clusters or not own.size:
@@ -74,7 +78,22 @@ def draw_clusters(
         distances = np.sum((places - places[middle]) ** 2, axis=1)
         nearest = np.argpartition(distances, members - 1)[:members]
         found.append(rng.choice(nearest, min(members, most // drawn), replace=False))
-    return own[np.unique(np.concatenate(found))], drawn
+    return np.sort(own[np.unique(np.concatenate(found))]), drawn
+
+
+def _along_a_curve(positions: Float64[F64, "verts 3"]) -> Int64[I64, " verts"]:
+    """Give numbers that near places have near each other (Morton), so that draws spread evenly.
+
+    What compression leaves may lie in a few clusters: those near a contact, of a smooth object.
+    """
+    low = positions.min(axis=0, initial=np.inf)
+    size = max(float((positions - low).max(initial=0.0)), 1e-30)
+    cells = ((positions - low) / size * (2**PLACE_BITS - 1)).astype(np.int64)
+    code = np.zeros(len(positions), np.int64)
+    for bit in range(PLACE_BITS):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code
 
 
 def sampled_coefficients(

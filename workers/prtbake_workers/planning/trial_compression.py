@@ -28,8 +28,9 @@ MOST_FUNCTIONS = 1000
 """Of a basis that is tried: more take seconds to make orthonormal."""
 
 SCATTERED_MORE, COLOURED_LESS = 1.2, 0.85
-"""Bytes of parts whose light is scattered inside, which is smoother than what falls on them, and of
-those with bounces in three colours, which are much the same, over those of a trial: it has neither."""
+"""Bytes a number of parts whose light is scattered inside, which is smoother than what falls on
+them, and of those with bounces in three colours, which are much the same, over those of a trial,
+which has neither.  Measured on seven and on four parts."""
 
 MOST_BYTES = 2.0
 """Of a number: 16 bits."""
@@ -100,9 +101,7 @@ def try_parts(
             if not verts.size or not brdf.albedo.any():
                 found.append(None)
                 continue
-            coefficients = sampled_coefficients(
-                scene, verts, brdf, occluders[index], directions
-            )
+            coefficients = sampled_coefficients(scene, verts, brdf, occluders[index], directions)
             n_channels = 3 if index in alike else 1
             side = None if brdf.is_constant_phi else texture_side(brdf)
             start, stop = part.vertex_range
