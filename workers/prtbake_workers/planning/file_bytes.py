@@ -227,7 +227,7 @@ def asked_asset_bytes(
 def light_bytes(settings: FitLightSettings) -> int:
     """Predict ``light.h5``: seven float64 a lobe, three a function of another kind."""
     if settings.method == "srbf_scattered":
-        found = 2300 + round(0.94 * 56 * (settings.n_lobes or 0))
+        found = 2300 + round(0.92 * 56 * (settings.n_lobes or 0))
         return found if settings.max_bytes is None else min(found, settings.max_bytes)
     functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
     return 2300 + round(0.94 * 24 * (functions + (settings.n_wavelets or 0)))
