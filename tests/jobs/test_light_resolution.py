@@ -68,9 +68,8 @@ def test_the_numbers_given_as_they_were_chosen_make_the_same_bake(
     # planning is told to take longer, and holds what it looks at
     tried = planned["plan"]["work"]["plan"]
     assert min(tried["trial_rays"], tried["trial_flops"]) > 0.0
-    assert not alone["plan"]["work"]["plan"].keys() & {"trial_rays"} or (
-        alone["plan"]["work"]["plan"]["trial_rays"] == 0.0
-    )
+    # compression is tried either way
+    assert alone["plan"]["work"]["plan"]["trial_rays"] < tried["trial_rays"]
 
 
 def test_an_estimate_predicts_what_the_bake_will_choose(store, request_and_context, joined):
