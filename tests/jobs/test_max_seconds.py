@@ -10,6 +10,7 @@ from prtbake_storage.contract.settings import CompressSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
+from prtbake_workers.jobs import study
 from prtbake_workers.jobs.compress import compressions_of, standalone_stages
 from prtbake_workers.jobs.part_budget import READS, START_SECONDS, fit_seconds
 from prtbake_workers.jobs.registry import KINDS
@@ -98,3 +99,24 @@ def test_what_a_clock_cuts_is_recalled_by_its_own_job_alone():
     for base in (request, light):
         assert key(base, 5.0, 1e9) == key(base, 5.0, 1e9) != key(base, 5.0, 2e9)
         assert key(base, None, 1e9) == key(base, None, 2e9)
+
+
+def test_what_a_clock_cuts_in_a_study_is_recalled_by_it_alone():
+    def keys(started, seconds, axes):
+        base = {
+            "kind": "fit_light",
+            "environment": f"environment-{'1' * 16}",
+            "settings": {"max_seconds": seconds, "n_lobes": 8},
+        }
+        body = {"kind": "study", "base": base, "axes": axes}
+        request = job_request_adapter.validate_python(body)
+        own = {"environment": {"canonical": "sha256:" + "0" * 64}}
+        points = [{"context": 0} for _ in request.points()]
+        context = {"contexts": [own], "points": points, "started": started}
+        fit, *_ = study.stages(request.model_dump(mode="json"), context, KINDS)
+        return {task.key for task in fit.tasks(Results())}
+
+    lobes = {"settings.n_lobes": [8, 16]}
+    assert keys(1e9, 5.0, lobes) == keys(1e9, 5.0, lobes)
+    assert not keys(1e9, 5.0, lobes) & keys(2e9, 5.0, lobes)
+    assert keys(1e9, None, lobes) == keys(2e9, None, lobes)

@@ -37,7 +37,8 @@ class Study:
             if point.request is None or "refused" in place:
                 self.refused.append((point, str(point.refused or place["refused"])))
                 continue
-            own = context["contexts"][place["context"]]
+            # what a clock cuts is taken up by points of this study alone
+            own = context["contexts"][place["context"]] | {"started": context.get("started")}
             stages = kinds[self.kind](point.request.model_dump(mode="json"), own)
             self.points.append(point)
             jobs.append(stages)
