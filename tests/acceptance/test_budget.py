@@ -57,3 +57,16 @@ def test_a_second_is_refused_with_the_least(local: Installation) -> None:
     assert job.error is not None
     assert (job.error.kind, job.error.pointer) == ("input", "/budget/max_seconds")
     assert "is predicted to take" in job.error.detail
+
+
+def test_bytes_are_kept_or_refused_at_their_field(local: Installation) -> None:
+    request = ball_request(local, {"max_bytes": 30_000}) | {"quality": "draft"}
+    job = local.client.wait(local.client.submit(request).id)
+    assert job.state is JobState.succeeded, job.error
+    (size,) = (file.size for file in job.artefacts if file.name == "asset.h5")
+    assert 27_000 <= size <= 30_000
+    few = ball_request(local, {"max_bytes": 900})
+    job = local.client.wait(local.client.submit(few).id, check=False)
+    assert job.error is not None
+    assert (job.error.kind, job.error.pointer) == ("input", "/budget/max_bytes")
+    assert "the mesh alone takes more than" in job.error.detail

@@ -80,11 +80,15 @@ def test_submit_asset_with_a_quality_or_a_budget(
     result = {"canonical": canonical, "understood": {}}
     service.answer_next("register", lambda job: service.succeed(job, result))
     asked = ("--max-error", "0.05", "--max-seconds", "600")
+    sized = ("--max-bytes", "50000")
+    none = {"max_error": None, "max_bytes": None, "max_seconds": None}
     for options, quality, budget in (
         ((), "medium", None),
         (("--quality", "low"), "low", None),
-        (asked[:2], None, {"max_error": 0.05, "max_seconds": None}),
-        (asked, None, {"max_error": 0.05, "max_seconds": 600.0}),
+        (asked[:2], None, none | {"max_error": 0.05}),
+        (asked, None, none | {"max_error": 0.05, "max_seconds": 600.0}),
+        (sized, "medium", none | {"max_bytes": 50_000}),
+        ((*sized, "--quality", "low"), "low", none | {"max_bytes": 50_000}),
     ):
         made = run(
             *("submit", "asset", "--mesh", "builtin:teapot:11", "--environment", environment),

@@ -11,7 +11,7 @@ from prtbake_storage.decode.reconstruct import reconstruct
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.hdf5.transfer import open_transfer
-from prtbake_workers.jobs.compress import standalone_stages
+from prtbake_workers.jobs.compress import stages, standalone_stages
 from support.local_stages import run_stages
 from support.transfer_file import write_transfer
 
@@ -95,6 +95,33 @@ def test_an_error_in_more_bytes_than_asked_for_is_refused_with_what_it_took(stor
     with pytest.raises(SettingsError, match=r"max_error 0\.05 took \d+") as caught:
         compressed(store, transfer, **held, max_bytes=free - 1)
     assert caught.value.pointer == "/settings/max_bytes"
+
+
+def test_a_file_that_is_held_to_bytes_is_cut_where_it_takes_more(store, transfer):
+    """Otherwise it is as it would be, but for the number that it names."""
+
+    def held(most, **settings):
+        given = CompressSettings(method="pca", **settings)
+        (plan, *_) = standalone_stages(transfer, given, 1)
+        results = run_stages([plan], store)
+        parts = [part["compression"] for part in results["plan"][0]["plan"]["parts"]]
+        listed = stages(lambda _: (transfer, parts), given, 1, held_to=most)
+        return run_stages(listed, store)["quantise"][0]
+
+    free = held(None)
+    ample = held(10 * free["bytes"])
+    assert ample["bytes"] == pytest.approx(free["bytes"], abs=64)
+    assert ample["delivered"] == free["delivered"]
+    asked = int(0.8 * free["bytes"])
+    cut = held(asked)
+    assert 0.9 * asked <= cut["bytes"] <= asked
+    assert cut["delivered"]["parts"] == pytest.approx(
+        ratios(store, transfer, cut["asset"]), rel=1e-6
+    )
+    assert max(cut["delivered"]["parts"].values()) > max(free["delivered"]["parts"].values())
+    # an error stands above the bytes
+    with pytest.raises(SettingsError, match=r"max_error 0\.05 took"):
+        held(500, max_error=0.05)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,14 @@
-"""Budgets as they go over the wire: one of two, and nothing beside them that decides the same."""
+"""Budgets as they go over the wire: and nothing beside them that decides the same."""
 
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.jobs import DECIDED_BY_EITHER, DECIDED_BY_ERROR, job_request_adapter
+from prtbake_storage.contract.jobs import (
+    DECIDED_BY_BYTES,
+    DECIDED_BY_EITHER,
+    DECIDED_BY_ERROR,
+    job_request_adapter,
+)
 
 ASSET = {
     "kind": "asset",
@@ -36,8 +41,32 @@ def test_a_request_has_a_quality_or_a_budget():
     assert "one quality or budget" in why
 
 
+def test_bytes_alone_stand_beside_a_quality():
+    assert request(budget={"max_bytes": 10**6}).quality == "medium"
+    assert request(budget={"max_bytes": 10**6}, quality="low").quality == "low"
+    for other in ({"max_error": 0.05}, {"max_seconds": 60.0}):
+        both = {"max_bytes": 10**6} | other
+        assert request(budget=both).quality is None
+        where, why = refusal(budget=both, quality="low")
+        assert where == ("asset", "quality")
+        assert "one quality or budget" in why
+
+
+def test_bytes_alone_decide_the_compression():
+    given = {"compress": {"n_clusters": 4}, "bake": {"n_centres": 42}}
+    asked = request(budget={"max_bytes": 10**6}, settings=given)
+    assert asked.planned_settings.compress == {"n_clusters": 4, "max_bytes": 10**6}
+    assert asked.planned_settings.bake == asked.settings.bake == given["bake"]
+    assert asked.settings.compress == {"n_clusters": 4}
+    for other in ({"max_seconds": 60.0}, {"max_error": 0.05}):
+        held = request(budget={"max_bytes": 10**6} | other, settings=given)
+        assert held.planned_settings == held.settings
+    assert request(settings=given).planned_settings.compress == {"n_clusters": 4}
+
+
 def test_what_is_stored_is_read_back_as_it_was():
-    for fields in ({}, {"budget": {"max_seconds": 60.0}}, {"budget": {"max_error": 0.1}}):
+    for fields in ({}, {"budget": {"max_seconds": 60.0}}, {"budget": {"max_error": 0.1}},
+                   {"budget": {"max_bytes": 9000}, "quality": "low"}):  # fmt: skip
         stored = request(**fields).model_dump(mode="json")
         assert job_request_adapter.validate_python(stored).model_dump(mode="json") == stored
 
@@ -49,6 +78,9 @@ def test_what_is_stored_is_read_back_as_it_was():
         ({"max_error": 1.0}, "max_error"),
         ({"max_seconds": 0.0}, "max_seconds"),
         ({"max_seconds": float("inf")}, "max_seconds"),
+        ({"max_bytes": 0}, "max_bytes"),
+        ({"max_bytes": 0.5}, "max_bytes"),
+        ({"max_bytes": 2**53}, "max_bytes"),
         ({"max_error": 0.1, "max_minutes": 5}, "max_minutes"),
     ],
 )
@@ -59,7 +91,7 @@ def test_a_budget_that_makes_no_sense_is_refused_by_its_field(budget, field):
 
 def test_an_empty_budget_is_refused():
     _, why = refusal(budget={})
-    assert "one at least of max_error, max_seconds" in why
+    assert "one at least of max_error, max_bytes, max_seconds" in why
 
 
 @pytest.mark.parametrize(("stage", "name"), DECIDED_BY_ERROR)
@@ -72,21 +104,43 @@ def test_settings_that_an_error_decides_are_refused_by_name(stage, name):
     assert request(budget={"max_seconds": 60.0}, settings=settings).settings
 
 
+@pytest.mark.parametrize("other", [{}, {"max_seconds": 60.0}, {"max_error": 0.05}])
+@pytest.mark.parametrize(("stage", "name"), DECIDED_BY_BYTES)
+def test_settings_that_bytes_decide_are_refused_by_name(other, stage, name):
+    settings = {stage: {name: VALUES.get(name, 0.01)}}
+    where, why = refusal(budget={"max_bytes": 10**6} | other, settings=settings)
+    assert where == ("asset", "settings")
+    assert f"chooses {stage}.{name}" in why
+
+
+def test_a_light_of_an_error_or_of_bytes_stands_beside_bytes():
+    for name, value in (("max_error", 0.01), ("max_bytes", 9000), ("max_seconds", 5.0)):
+        light = {"fit_light": {name: value}}
+        assert request(budget={"max_bytes": 10**6}, settings=light).settings.fit_light
+
+
 @pytest.mark.parametrize("budget", [{"max_error": 0.05}, {"max_seconds": 60.0}])
 @pytest.mark.parametrize(("stage", "name"), DECIDED_BY_EITHER)
-def test_seconds_of_a_stage_are_refused_beside_any_budget(budget, stage, name):
+def test_seconds_of_a_stage_are_refused_beside_a_search(budget, stage, name):
     settings = {stage: {name: 30.0}}
     where, why = refusal(budget=budget, settings=settings)
     assert where == ("asset", "settings")
     assert f"the budget chooses {stage}.{name}" in why
-    # a quality has no search
+    # a quality has no search, nor have bytes
     assert request(quality="low", settings=settings).settings
+    assert request(budget={"max_bytes": 10**6}, settings=settings).settings
 
 
 def test_eight_bits_are_refused_beside_an_error():
     settings = {"compress": {"bits": 8}}
     _, why = refusal(budget={"max_error": 0.05}, settings=settings)
     assert "compress.bits" in why
+    for bits in (8, 16):
+        _, why = refusal(
+            budget={"max_error": 0.05, "max_bytes": 10**6}, settings={"compress": {"bits": bits}}
+        )
+        assert "compress.bits" in why
+    assert request(budget={"max_error": 0.05}, settings={"compress": {"bits": 16}}).settings
 
 
 def test_a_study_searches_no_budget():

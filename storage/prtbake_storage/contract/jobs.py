@@ -180,11 +180,20 @@ DECIDED_BY_ERROR = (
 )
 """Settings that a budget's error takes the place of: stage and name."""
 
+DECIDED_BY_BYTES = (
+    ("compress", "ranks"),
+    ("compress", "n_components"),
+    ("compress", "max_bytes"),
+    ("compress", "max_quantisation_error"),
+)
+"""Those that its bytes do."""
+
 DECIDED_BY_EITHER = (
     ("compress", "max_seconds"),
     ("fit_light", "max_seconds"),
 )
-"""Those that any budget does: a search counts on stages that end with what they were asked for."""
+"""Those that either an error or a time does: a search counts on stages that end with what they were
+asked for."""
 
 
 class AssetRequest(_SceneRequest, _LitRequest):
@@ -192,7 +201,7 @@ class AssetRequest(_SceneRequest, _LitRequest):
 
     kind: Literal["asset"] = "asset"
     budget: AssetBudget | None = None
-    """What it may err by and take, in place of a quality."""
+    """What it may err by and take, in place of a quality; bytes alone may stand beside one."""
     quality: Quality | None = Field(default=None, validate_default=True)
     """Null is `medium`, or what the budget finds."""
     settings: AssetSettings = AssetSettings()
@@ -202,7 +211,8 @@ class AssetRequest(_SceneRequest, _LitRequest):
     def _one_of_two(cls, quality: Quality | None, info: ValidationInfo) -> Quality | None:
         if "budget" not in info.data:  # refused itself
             return quality
-        if info.data["budget"] is None:
+        budget = info.data["budget"]
+        if budget is None or not budget.searched:
             return quality or "medium"
         if quality is not None:
             raise ValueError("one quality or budget: the budget chooses the quality")
@@ -215,22 +225,31 @@ class AssetRequest(_SceneRequest, _LitRequest):
         budget = info.data.get("budget")
         if budget is None:
             return settings
-        for stage, name in DECIDED_BY_EITHER:
-            if getattr(settings, stage).get(name) is not None:
-                raise ValueError(f"the budget chooses {stage}.{name}: give one of them")
-        if budget.max_error is None:
-            return settings
-        for stage, name in DECIDED_BY_ERROR:
-            if getattr(settings, stage).get(name) is not None:
-                raise ValueError(f"budget.max_error chooses {stage}.{name}: give one of them")
-        if settings.compress.get("bits") == 8:
-            raise ValueError("budget.max_error chooses compress.bits: leave them 'auto', or 16")
+        decided = [
+            ("the budget", DECIDED_BY_EITHER, budget.searched, ()),
+            ("budget.max_error", DECIDED_BY_ERROR, budget.max_error is not None, (8,)),
+            ("budget.max_bytes", DECIDED_BY_BYTES, budget.max_bytes is not None, (8, 16)),
+        ]
+        for who, names, asked, bits in decided:
+            if not asked:
+                continue
+            for stage, name in names:
+                if getattr(settings, stage).get(name) is not None:
+                    raise ValueError(f"{who} chooses {stage}.{name}: give one of them")
+            if settings.compress.get("bits") in bits:
+                left = "'auto'" if 16 in bits else "'auto', or 16"
+                raise ValueError(f"{who} chooses compress.bits: leave them {left}")
         return settings
 
     @property
     def planned_quality(self) -> Quality:
         """The quality that is asked for; with a budget the one that its search starts from."""
         return self.quality or "draft"
+
+    @property
+    def planned_settings(self) -> AssetSettings:
+        """The overrides, those that the budget decides among them."""
+        return self.settings if self.budget is None else self.budget.laid_over(self.settings)
 
 
 Studied = BakeRequest | CompressRequest | FitLightRequest | AssetRequest

@@ -12,7 +12,7 @@ from prtbake_workers.planning.presets import resolve_stages
 def stages(request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
     """Bake, compress, fit, render, validate."""
     parsed = AssetRequest.model_validate(request)
-    settings = resolve_stages(parsed.planned_quality, parsed.settings)
+    settings = resolve_stages(parsed.planned_quality, parsed.planned_settings)
     environment = light_source(context)
 
     def planned(results: Results) -> tuple[str, list[dict[str, Any]]]:

@@ -4,9 +4,11 @@ from typing import Any
 
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs import report
+from prtbake_workers.jobs.byte_budget import ByteBudget
 from prtbake_workers.jobs.error_budget import ErrorSearch
 from prtbake_workers.jobs.search_stages import account
 from prtbake_workers.jobs.time_budget import TimeSearch
+from prtbake_workers.jobs.work import learnt
 
 
 def has_one(kind: str, request: dict[str, Any]) -> bool:
@@ -14,11 +16,15 @@ def has_one(kind: str, request: dict[str, Any]) -> bool:
     return kind == "asset" and request.get("budget") is not None
 
 
-def search_of(request: dict[str, Any], context: dict[str, Any]) -> ErrorSearch | TimeSearch:
+def search_of(
+    request: dict[str, Any], context: dict[str, Any]
+) -> ErrorSearch | TimeSearch | ByteBudget:
     """Make the search that a budget calls for."""
-    if request["budget"].get("max_error") is None:
+    if request["budget"].get("max_error") is not None:
+        return ErrorSearch(request, context)
+    if request["budget"].get("max_seconds") is not None:
         return TimeSearch(request, context)
-    return ErrorSearch(request, context)
+    return ByteBudget(request, context)
 
 
 def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
@@ -27,12 +33,14 @@ def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list
 
     def write(results: Results) -> list[Task]:
         seen = search.delivered(results)
-        args = report.gather(title, seen)
+        predicted = search.predicted(results) if isinstance(search, ByteBudget) else {}
+        args = report.gather(title, seen, predicted)
         args["search"] = {
             "budget": request["budget"],
             "aim": search.aim(results),
             "attempts": account(search.tried(results), results),
         }
+        args["asset_notes"] = [*args["asset_notes"], *_notes(request["budget"], seen)]
         own = {stage["name"] for stage in args["stages"]}
         args["stages"] += [
             report.stage_cost(name, results) | {"predicted_seconds": None, "errors": {}}
@@ -44,7 +52,20 @@ def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list
     return [*search.stages(), Stage("report", "report", 1.0, write)]
 
 
+def _notes(budget: dict[str, Any], seen: Results) -> list[str]:
+    """Say what came of the bytes, where cutting the file to them does not say it itself."""
+    most = budget.get("max_bytes")
+    if most is None or "quantise" not in seen:
+        return []
+    (written,) = seen["quantise"]
+    taken = f"asset.h5 takes {written['bytes']} of {most} bytes"
+    return [] if any(note.startswith(taken) for note in written["notes"]) else [taken]
+
+
 def finish(request: dict[str, Any], context: dict[str, Any], results: Results) -> Finished:
     """Name the files and the summary that the search left."""
-    seen = search_of(request, context).delivered(results)
-    return Finished(result=report.summary(seen), artefacts=report.artefacts(seen))
+    search = search_of(request, context)
+    seen = search.delivered(results)
+    # a job that made nothing in vain is as good a teacher as one without a budget
+    rates = learnt("asset", seen, context) if isinstance(search, ByteBudget) else None
+    return Finished(result=report.summary(seen), artefacts=report.artefacts(seen), rates=rates)

@@ -28,14 +28,13 @@ from prtbake_workers.compress.superclusters import (
 from prtbake_workers.compress.to_error import compress_to_error
 from prtbake_workers.deadline import ends_by
 from prtbake_workers.jobs.cta_course import OneTask, SharedSteps, course, most_rounds
-from prtbake_workers.jobs.delivered import write_delivered
 from prtbake_workers.jobs.inputs import versions
 from prtbake_workers.jobs.part_budget import budgets, planned_fit, time_notes
 from prtbake_workers.jobs.part_fit import part_fit, part_result
 from prtbake_workers.jobs.pointing import pointing_at
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.rows_file import write_rows
-from prtbake_workers.jobs.sized import check_bytes, write_sized
+from prtbake_workers.jobs.sized import write_asked
 from prtbake_workers.planning.cost import HELD_BYTES, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
@@ -62,12 +61,14 @@ def stages(
     *,
     settings_at: str = "/settings/compress",
     started: float | None = None,
+    held_to: int | None = None,
 ) -> list[Stage]:
     """Compress each part in a task of its own, or in rounds of tasks, then write the asset.
 
     ``plan_of`` gives the transfer's digest and each part's compression from earlier results,
     ``settings_at`` is the JSON pointer to the settings in the request, ``started`` the job's start
-    in seconds since 1970: what `max_seconds` cuts belongs to this job.
+    in seconds since 1970: what `max_seconds` cuts belongs to this job.  A file of the settings'
+    sizes that takes more than ``held_to`` bytes is cut to them.
     """
     rounding, draws = options(settings), draw_settings(settings)
     kept = ROUNDING_SHARE if settings.bits == "auto" else SHARE_OF_16_BITS
@@ -106,6 +107,7 @@ def stages(
         transfer, compressions = plan_of(results)
         asked = settings.model_dump(include={"max_iterations", "max_error", "threads"})
         limits = settings.model_dump(include={"max_bytes", "max_seconds"}, exclude_none=True)
+        limits |= {} if held_to is None else {"max_bytes": held_to}
         args = {
             "transfer": transfer,
             "factors": [result["factors"] for result in results["compress"]],
@@ -114,6 +116,7 @@ def stages(
             "rounding": rounding,
             "max_error": settings.max_error,
             "max_bytes": settings.max_bytes,
+            "held_to": held_to,
             "registers": settings.registers,
             "compress": asked
             | limits
@@ -330,12 +333,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
             registers = args["registers"]
             return asset if registers is None else with_superclusters(asset, registers)
 
-        if args.get("max_bytes") is not None and args["max_error"] is None:
-            exact, rounded, delivered = write_sized(path, exact, transfer, args, finished)
-        else:
-            exact = finished(exact)
-            rounded, delivered = write_delivered(path, exact, transfer, args)
-            check_bytes(path, args)
+        exact, rounded, delivered = write_asked(path, exact, transfer, args, finished)
         write_asset(exact_path, exact, bits=32)
     size = path.stat().st_size
     return {

@@ -15,14 +15,8 @@ from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.settings import CompressSettings, ValidateSettings
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import bake, compress, fit_light, render, tuning, validate
-from prtbake_workers.jobs.error_trail import (
-    MENDED,
-    ErrorDecisions,
-    Trail,
-    done,
-    refusal,
-    views_of,
-)
+from prtbake_workers.jobs.error_attempts import BY_BYTES, FINER, MENDED, Asked, Trail
+from prtbake_workers.jobs.error_trail import ErrorDecisions
 from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.search_stages import (
     AFTER,
@@ -30,10 +24,14 @@ from prtbake_workers.jobs.search_stages import (
     Tried,
     attempt_view,
     check_least,
+    done,
+    held_predictions,
     limit,
     numbered,
+    refusal,
     unshared,
     view,
+    views_of,
 )
 from prtbake_workers.jobs.shared_stages import attempted
 from prtbake_workers.jobs.work import asset_work, wall_seconds
@@ -83,6 +81,8 @@ class ErrorSearch:
         for attempt in range(MOST_COMPRESSIONS):
             listed += self._compress_stages(attempt, "compress")
             listed.append(self._measured_asset(attempt))
+        if self.budget.max_bytes is not None:
+            listed += self._stages_of_bytes()
         mended = self._compress_stages(MENDED, "mend")
         (rendered,) = render.stages(
             lambda own: self._lit(self.delivered(own)), self.rungs[0].settings.render
@@ -108,16 +108,30 @@ class ErrorSearch:
         trail = self._decisions.trail(results)
         planned = results["plan 1"][0]["plan"]
         settings = replace(
-            self.rungs[trail.rungs[-1]].settings,
+            self.rungs[trail.rung].settings,
             validation=self._validate_settings(results, trail),
         )
         return wall_seconds(asset_work(planned, settings, self.context), self.context, AFTER)
 
-    def _bake_stages(self, attempt: int) -> list[Stage]:
-        def under_way(results: Results) -> int | None:
+    def _stages_of_bytes(self) -> list[Stage]:
+        """List the attempts at all bytes: of the bake that is settled on, and of a finer one."""
+
+        def finer(results: Results) -> int | None:
             trail = self._decisions.trail(results)
-            own = trail.stage == "bake" and len(trail.rungs) - 1 == attempt
-            return trail.rungs[-1] if own else None
+            return trail.finer if trail.stage == "finer" else None
+
+        return [
+            *self._compress_stages(BY_BYTES, "compress"),
+            self._measured_asset(BY_BYTES),
+            *self._baked_stages(len(self.rungs), finer),
+            *self._compress_stages(FINER, "finer"),
+            self._measured_asset(FINER),
+        ]
+
+    def _baked_stages(
+        self, attempt: int, under_way: Callable[[Results], int | None]
+    ) -> list[Stage]:
+        """List the stages of an attempt at the bake; ``under_way`` is its step, if it is made."""
 
         def baked(name: str) -> Stage:
             def tasks(results: Results) -> list[Task]:
@@ -128,6 +142,14 @@ class ErrorSearch:
 
             own = self._bakes[0][name]
             return Stage(numbered(name, attempt), own.unit, own.weight, tasks)
+
+        return [baked(name) for name in BAKE]
+
+    def _bake_stages(self, attempt: int) -> list[Stage]:
+        def under_way(results: Results) -> int | None:
+            trail = self._decisions.trail(results)
+            own = trail.stage == "bake" and len(trail.rungs) - 1 == attempt
+            return trail.rungs[-1] if own else None
 
         def lit(results: Results) -> list[Task]:
             rung = under_way(results)
@@ -143,7 +165,7 @@ class ErrorSearch:
             }
 
         return [
-            *(baked(name) for name in BAKE),
+            *self._baked_stages(attempt, under_way),
             Stage(numbered("fit_light", attempt), "fit", 10.0, lit),
             self._measure(numbered("measure", attempt), measured),
         ]
@@ -179,13 +201,13 @@ class ErrorSearch:
 
         def own_stages(results: Results) -> list[Stage] | None:
             trail = self._decisions.trail(results)
-            number = MENDED if phase == "mend" else len(trail.asked) - 1
-            if trail.stage != phase or number != attempt:
+            if trail.stage != phase or list(trail.asked)[-1] != attempt:
                 return None
             return compress.stages(
                 lambda _: planned(results),
-                self._compression(trail, trail.asked[-1]),
+                self._compression(trail, trail.asked[attempt]),
                 self.parsed.seed,
+                started=self.context.get("started"),
             )
 
         def parts(results: Results) -> list[Task]:
@@ -202,7 +224,9 @@ class ErrorSearch:
                 return []
             seen = Results()
             seen.add("compress", done(results[name]), results.measured(name))
-            return own[1].tasks(seen)
+            tasks = own[1].tasks(seen)
+            # mesh and tables may take more than all bytes
+            return [attempted(task) for task in tasks] if attempt in (BY_BYTES, FINER) else tasks
 
         return [
             Stage(numbered("compress", attempt), "parts", 30.0, parts),
@@ -211,13 +235,14 @@ class ErrorSearch:
 
     def _measured_asset(self, attempt: int) -> Stage:
         def measured(results: Results) -> dict[str, Any] | None:
-            quantised = results[numbered("quantise", attempt)]
-            if not quantised:
+            name = numbered("quantise", attempt)
+            if not results[name] or refusal(results, name) is not None:
                 return None
+            (quantised,) = done(results[name])
             return {
                 "transfer": self._transfer(results),
                 "light": self._light(results),
-                "asset": quantised[0]["asset"],
+                "asset": quantised["asset"],
                 "references": self._references(results),
             }
 
@@ -229,7 +254,7 @@ class ErrorSearch:
             if trail.stage != ("validate", "mend")[attempt]:
                 return []
             at = trail.delivered if attempt == 0 else MENDED
-            quantised = results[numbered("quantise", at or 0)][0]
+            (quantised,) = done(results[numbered("quantise", at or 0)])
             inputs = {
                 "transfer": self._transfer(results),
                 "light": self._light(results),
@@ -257,16 +282,17 @@ class ErrorSearch:
         )
 
     def _fit(self, settings: FitLightSettings) -> list[Task]:
-        (stage,) = fit_light.stages(self._environment, settings, self.parsed.seed)
+        started = self.context.get("started")
+        (stage,) = fit_light.stages(self._environment, settings, self.parsed.seed, started=started)
         return stage.tasks(Results())
 
-    def _compression(self, trail: Trail, max_error: float) -> CompressSettings:
-        own = self.rungs[trail.rungs[-1]].settings.compress
-        return CompressSettings.model_validate(own.model_dump() | {"max_error": max_error})
+    def _compression(self, trail: Trail, asked: Asked) -> CompressSettings:
+        own = self.rungs[trail.rung].settings.compress
+        return CompressSettings.model_validate(own.model_dump() | asked)
 
     def _validate_settings(self, results: Results, trail: Trail) -> ValidateSettings:
         """Give the validation samples enough for an error of this size, unless they are given."""
-        settings = self.rungs[trail.rungs[-1]].settings.validation
+        settings = self.rungs[trail.rung].settings.validation
         given = {"samples", "passes"} & set(self.parsed.settings.validation)
         # before the first measurement nothing tells how many are needed
         if given or not trail.transfers:
@@ -283,7 +309,11 @@ class ErrorSearch:
         return [camera["reference"] for camera in first]
 
     def _baked(self, results: Results) -> Results:
-        return attempt_view(results, len(self._decisions.trail(results).rungs) - 1)
+        return attempt_view(results, self._bake_at(self._decisions.trail(results)))
+
+    def _bake_at(self, trail: Trail) -> int:
+        """Give the number of the attempt at the bake that the compression under way is of."""
+        return len(trail.rungs) - 1 if trail.finer is None else len(self.rungs)
 
     def _transfer(self, results: Results) -> str:
         digest: str = self._baked(results)["join"][0]["transfer"]
@@ -306,7 +336,7 @@ class ErrorSearch:
         return name in self._names(self._decisions.trail(results)).values()
 
     def _names(self, trail: Trail) -> dict[str, str]:
-        bake_at, at = len(trail.rungs) - 1, trail.delivered or 0
+        bake_at, at = self._bake_at(trail), trail.delivered or 0
         names = {name: numbered(name, bake_at) for name in BAKE}
         names |= {name: numbered(name, at) for name in ("compress", "quantise")}
         names |= {
@@ -331,25 +361,25 @@ class ErrorSearch:
 
     def _as_delivered(self, planned: dict[str, Any], trail: Trail) -> dict[str, Any]:
         """Enter what was found into the settings that the report shows."""
-        light = self.lights[trail.lights[-1]]
-        at = trail.delivered
-        # the last that was asked for may have been left; a mended one is the last
-        asked = trail.asked[-1] if at is None or at == MENDED else trail.compressed[at][0]
+        if trail.delivered is None:
+            raise ValueError("nothing is delivered yet")
+        light, asked = self.lights[trail.lights[-1]], trail.asked[trail.delivered]
         settings = planned["settings"] | {
             "compress": self._compression(trail, asked).model_dump(mode="json"),
             "fit_light": light.model_dump(mode="json"),
         }
         # beside it stand other bakes, with the light and the error of compression that were found
-        found = {"light", "compression"}
+        settled = {"light", "compression"}
         ladder = [
             step
             | {
                 "error_factors": {
                     kind: factor
                     for kind, factor in step["error_factors"].items()
-                    if kind not in found
+                    if kind not in settled
                 }
             }
             for step in planned["plan"]["ladder"]
         ]
-        return planned | {"settings": settings, "plan": planned["plan"] | {"ladder": ladder}}
+        found = planned | {"settings": settings, "plan": planned["plan"] | {"ladder": ladder}}
+        return held_predictions(found, self.budget.max_bytes)

@@ -4,21 +4,42 @@ A job may be taken up by another worker at any point: nothing is kept but result
 search stands follows from them.
 """
 
-from dataclasses import dataclass, field, replace
-from math import isfinite
-from typing import Any
+from dataclasses import replace
+from math import inf, isfinite
+from typing import NoReturn
 
 from prtbake_storage.contract.jobs import AssetRequest
-from prtbake_storage.contract.light import FitLightSettings
-from prtbake_storage.contract.settings import Quality
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results
-from prtbake_workers.jobs.search_stages import BAKE, Tried, is_late, numbered
+from prtbake_workers.jobs.error_attempts import (
+    BY_BYTES,
+    FINER,
+    MENDED,
+    Asked,
+    Trail,
+    ladder_of,
+    size_of,
+)
+from prtbake_workers.jobs.search_stages import (
+    BAKE,
+    Tried,
+    held_out,
+    is_late,
+    numbered,
+    refusal,
+    refuse_as,
+    views_of,
+)
+from prtbake_workers.planning.byte_search import (
+    Left,
+    beyond_bytes,
+    bytes_needed,
+    finer_step,
+    mended_by_bytes,
+    within,
+)
 from prtbake_workers.planning.error_search import (
-    MOST_COMPRESSIONS,
     WINDOW,
-    Compression,
-    Pooled,
     best_compression,
     binding_line,
     choose_bake,
@@ -30,49 +51,11 @@ from prtbake_workers.planning.error_search import (
     predicted_errors,
     share_to_aim_at,
 )
-from prtbake_workers.planning.ladder_steps import legal_steps
-from prtbake_workers.planning.presets import StageSettings
-from prtbake_workers.report.account import pooled_budget
 
 REMEDIES = {
     "vertex interpolation": "a finer mesh or receiver",
     "light fit": "another method of fit_light",
 }
-
-
-@dataclass(frozen=True)
-class Rung:
-    """A step of the ladder, and its light among those that differ."""
-
-    quality: Quality
-    settings: StageSettings
-    light: int
-
-
-MENDED = MOST_COMPRESSIONS
-"""Number of the compression that is made where held-out views err by too much."""
-
-
-@dataclass
-class Trail:
-    """Where a search stands: what it tried, what is under way, what it has settled on."""
-
-    rungs: list[int] = field(default_factory=list)
-    """Of the attempts at the bake, the one under way too."""
-    transfers: list[Pooled] = field(default_factory=list)
-    lights: list[int] = field(default_factory=list)
-    """Steps of the light that were fitted on the last bake, the one under way too."""
-    lit: list[Pooled] = field(default_factory=list)
-    asked: list[float] = field(default_factory=list)
-    """Errors of the compressions, the one under way too."""
-    compressed: list[Compression] = field(default_factory=list)
-    aim: float = 0.0
-    stage: str = "bake"
-    """bake, light, compress, validate, mend or done: what is under way."""
-    delivered: int | None = None
-    """The compression that is delivered."""
-    tried: list[Tried] = field(default_factory=list)
-    """Every attempt, and why it was taken or left."""
 
 
 class ErrorDecisions:
@@ -107,19 +90,18 @@ class ErrorDecisions:
 
     def _stop(self, trail: Trail) -> None:
         """Take the best of what there is when the time is out."""
-        trail.delivered = best_compression(trail.compressed, trail.aim)
+        trail.delivered = self._best(trail)
         if trail.delivered is None:
             seconds = self.budget.max_seconds or 0.0
             raise SettingsError(
-                f"{seconds:g} s are too few for an error of {self.target:.2%}: no settings that "
-                f"meet it were found when the search was given up in its step {trail.stage}",
+                f"{seconds:g} s are too few for an error of {self.target:.2%}{self._in_bytes()}: "
+                "no settings that meet it were found when the search was given up in its step "
+                f"{trail.stage}",
                 pointer="/budget/max_seconds",
             )
         self._enter_compressions(trail)
 
     def _settle_bake(self, results: Results, trail: Trail) -> bool:
-        predictions: list[float] = []
-        lines: dict[str, float] = {}
         bakes = [rung.settings.bake for rung in self.rungs]
         while True:
             attempt = len(trail.transfers)
@@ -135,14 +117,14 @@ class ErrorDecisions:
                 )
             if attempt == 0:
                 trail.aim = self.target * share_to_aim_at(trail.transfers[0].spread)
-                lines = pooled_lines(views)
-                predictions = predicted_errors(trail.transfers[0].error, lines, bakes)
+                trail.lines = pooled_lines(views)
+                trail.predictions = predicted_errors(trail.transfers[0].error, trail.lines, bakes)
             tried = [
                 (rung, own.error) for rung, own in zip(trail.rungs, trail.transfers, strict=True)
             ]
-            choice = choose_bake(tried, predictions, trail.aim)
+            choice = choose_bake(tried, trail.predictions, trail.aim)
             if choice.what == "refuse":
-                self.refuse(choice.best, binding_line(lines, bakes), trail)
+                self.refuse(choice.best, binding_line(trail.lines, bakes), trail)
             taken = choice.what == "take"
             trail.tried.append(
                 Tried(
@@ -192,25 +174,82 @@ class ErrorDecisions:
 
     def _settle_compression(self, results: Results, trail: Trail) -> bool:
         trail.stage = "compress"
-        base = trail.lit[-1].error
-        while (asked := next_compression(trail.compressed, base, trail.aim)) is not None:
-            trail.asked.append(asked)
+        base, most = trail.lit[-1].error, self.budget.max_bytes
+        while True:
+            asked = next_compression(trail.compressed, base, trail.aim)
+            if asked is None:
+                break
             attempt = len(trail.compressed)
+            trail.asked[attempt] = {"max_error": asked}
             refused = refusal(results, numbered("compress", attempt))
             views = views_of(results, numbered("measure asset", attempt))
             if refused is None and views is None:
                 return False
             total = None if views is None else pool(views, "asset").error
             trail.compressed.append((asked, total))
-        trail.delivered = best_compression(trail.compressed, trail.aim)
-        if trail.delivered is None:
-            self.refuse(base, "compression", trail)
+            trail.sizes.append(None if views is None else size_of(results, attempt))
+            if beyond_bytes(total, trail.sizes[-1], trail.aim, most):
+                break
+        trail.delivered = self._best(trail)
         self._enter_compressions(trail)
-        return True
+        if trail.delivered is not None:
+            return True
+        if most is None or not any(size is not None and size > most for size in trail.sizes):
+            self.refuse(base, "compression", trail)
+        return self._settle_bytes(results, trail, most)
+
+    def _settle_bytes(self, results: Results, trail: Trail, most: int) -> bool:
+        """Make the least error of the bytes; where that is too large, of a finer bake's too."""
+        left = self._all_bytes(results, trail, BY_BYTES, most)
+        if left is None or _meets(left, trail):
+            return left is not None
+        shown = Left(trail.transfers[-1].error, trail.lit[-1].error, left)
+        trail.finer = finer_step(trail.rungs[-1], trail.predictions, shown, trail.aim)
+        if trail.finer is not None:
+            trail.stage = "finer"
+            left = self._all_bytes(results, trail, FINER, most)
+            if left is None:
+                return False
+            if _meets(left, trail):
+                self._enter_finer(trail)
+                return True
+        bakes = [rung.settings.bake for rung in self.rungs[: trail.rungs[-1] + 1]]
+        line = shown.largest(binding_line(trail.lines, bakes))
+        raise self._too_few(min(trail.of_bytes), line, trail)
+
+    def _all_bytes(self, results: Results, trail: Trail, place: int, most: int) -> float | None:
+        """Give what a compression of all bytes errs by, None where it is not measured yet.
+
+        It is infinite where mesh and tables of a finer bake do not fit.
+        """
+        trail.asked[place] = {"max_bytes": most}
+        refused = refusal(results, numbered("quantise", place))
+        if refused is not None:
+            if place == BY_BYTES:
+                refuse_as(refused)
+            self._enter_bytes(trail, place, None, str(refused["detail"]))
+            return inf
+        views = views_of(results, numbered("measure asset", place))
+        if views is None:
+            return None
+        total = pool(views, "asset").error
+        trail.of_bytes.append(total)
+        met = _meets(total, trail)
+        if met:
+            trail.delivered = place
+        above = f"errs by more than the {trail.aim:.2%} aimed at"
+        self._enter_bytes(trail, place, total, "errs by least in its bytes" if met else above)
+        return total
+
+    def _best(self, trail: Trail) -> int | None:
+        """Choose among the compressions for an error those that the bytes hold."""
+        held = within(trail.compressed, trail.sizes, self.budget.max_bytes)
+        return best_compression(held, trail.aim)
 
     def _enter_compressions(self, trail: Trail) -> None:
-        """Say of the compressions which is delivered, and why not the others."""
-        for place, (asked, total) in enumerate(trail.compressed):
+        """Say of the compressions for an error which is delivered, and why not the others."""
+        most = self.budget.max_bytes
+        for place, ((_, total), size) in enumerate(zip(trail.compressed, trail.sizes, strict=True)):
             taken = place == trail.delivered
             why = "errs by most of those that stay below the aim"
             if total is None:
@@ -218,14 +257,35 @@ class ErrorDecisions:
             elif not taken:
                 above = total > WINDOW[1] * trail.aim
                 why = f"errs by {'more' if above else 'less'} than the {trail.aim:.2%} aimed at"
-            trail.tried.append(self._tried_compression(place, asked, total, taken=taken, why=why))
+                if most is not None and size is not None and size > most:
+                    why = f"takes more than {most} bytes"
+            trail.tried.append(self._tried_compression(trail, place, total, taken=taken, why=why))
+
+    def _enter_bytes(self, trail: Trail, place: int, total: float | None, why: str) -> None:
+        taken = trail.delivered == place
+        trail.tried.append(self._tried_compression(trail, place, total, taken=taken, why=why))
+
+    def _enter_finer(self, trail: Trail) -> None:
+        """Say of the finer bake, before its compression, that it stands in the first's place."""
+        place = next(at for at, one in enumerate(trail.tried) if one.taken)
+        why = "leaves too little room for compression in the bytes"
+        trail.tried[place] = replace(trail.tried[place], taken=False, why=why)
+        finer = Tried(
+            f"bake, {self.rungs[trail.rung].quality}",
+            None,
+            taken=True,
+            why="leaves more room for compression in the bytes",
+            stages=tuple(numbered(name, len(self.rungs)) for name in BAKE),
+        )
+        trail.tried.insert(-1, finer)
 
     def _tried_compression(
-        self, place: int, asked: float, error: float | None, *, taken: bool, why: str
+        self, trail: Trail, place: int, error: float | None, *, taken: bool, why: str
     ) -> Tried:
         names = ("compress", "quantise", *(() if place == MENDED else ("measure asset",)))
+        ((asked, value),) = trail.asked[place].items()
         return Tried(
-            f"compression, max_error {asked:.3g}",
+            f"compression, {asked} {value if asked == 'max_bytes' else f'{value:.3g}'}",
             error,
             taken=taken,
             why=why,
@@ -242,11 +302,9 @@ class ErrorDecisions:
             return
         if trail.delivered is None:
             raise ValueError("nothing was compressed")
-        asked, tuned = trail.compressed[trail.delivered]
-        mended = mended_compression(asked, tuned or 0.0, trail.lit[-1].error, total, self.target)
+        mended = self._mended(trail, trail.delivered, total)
         if mended is None:
-            self.refuse(total, "held-out views", trail)
-            return
+            self._refuse_held_out(total, trail, trail.asked[trail.delivered])
         if is_late(results):
             raise SettingsError(
                 f"{self.budget.max_seconds or 0.0:g} s are too few for an error of "
@@ -258,20 +316,45 @@ class ErrorDecisions:
         trail.tried[place] = replace(
             trail.tried[place], taken=False, why=f"errs by {total:.2%} at held-out views"
         )
-        trail.asked.append(mended)
+        trail.asked[MENDED] = mended
         trail.stage = "mend"
+        most = self.budget.max_bytes
+        if most is not None and (size_of(results, MENDED) or 0) > most:
+            self._refuse_held_out(total, trail, {"max_bytes": most})
         again = held_out(results, "validate 2")
         if again is None:
             return
         if again > self.target:
-            self.refuse(again, "held-out views", trail)
-        trail.compressed.append((mended, None))
+            self._refuse_held_out(again, trail, mended)
         trail.delivered = MENDED
         why = "stays below the target at held-out views"
-        trail.tried.append(self._tried_compression(MENDED, mended, again, taken=True, why=why))
+        trail.tried.append(self._tried_compression(trail, MENDED, again, taken=True, why=why))
         trail.stage = "done"
 
-    def refuse(self, best: float, line: str, trail: Trail) -> None:
+    def _mended(self, trail: Trail, delivered: int, total: float) -> Asked | None:
+        """Choose the compression that is made where held-out views err by too much."""
+        if "max_bytes" in trail.asked[delivered]:
+            return None  # no other errs by less in its bytes
+        asked, tuned = trail.compressed[delivered]
+        error = mended_compression(asked, tuned or 0.0, trail.lit[-1].error, total, self.target)
+        if error is None:
+            return None
+        if mended_by_bytes(trail.sizes[delivered] or 0, self.budget.max_bytes):
+            return {"max_bytes": self.budget.max_bytes}
+        return {"max_error": error}
+
+    def _refuse_held_out(self, error: float, trail: Trail, asked: Asked) -> NoReturn:
+        """Refuse what held-out views err by: the bytes, where these were what was left to try."""
+        if "max_bytes" not in asked:
+            self.refuse(error, "held-out views", trail)
+        raise SettingsError(
+            f"an error of {self.target:.2%}{self._in_bytes()} cannot be met: held-out views err by "
+            f"{error:.2%}, where tuning views met it. {1.05 * error:.2%} can be asked for, or more "
+            "bytes",
+            pointer="/budget/max_bytes",
+        )
+
+    def refuse(self, best: float, line: str, trail: Trail) -> NoReturn:
         """Refuse the target: say what is left at best, and which line of the budget most of it is.
 
         Raises
@@ -290,6 +373,21 @@ class ErrorDecisions:
             pointer="/budget/max_error",
         )
 
+    def _too_few(self, best: float, line: str, trail: Trail) -> SettingsError:
+        """Say of the bytes what is left in them at best, and which line most of it is."""
+        share = trail.aim / self.target
+        needed = bytes_needed(trail.compressed, trail.sizes, trail.aim)
+        return SettingsError(
+            f"an error of {self.target:.2%}{self._in_bytes()} cannot be met: at best {best:.2%} is "
+            f"left at the tuning views, where {trail.aim:.2%} is aimed at so that other views stay "
+            f"below; the largest part of it is {line or 'light'}. "
+            f"{1.05 * best / share:.2%} can be asked for, or {needed}",
+            pointer="/budget/max_bytes",
+        )
+
+    def _in_bytes(self) -> str:
+        return "" if self.budget.max_bytes is None else f" in {self.budget.max_bytes} bytes"
+
     def _light_name(self, step: int) -> str:
         settings = self.lights[step]
         return f"of {settings.n_lobes} lobes" if settings.n_lobes else settings.method
@@ -301,45 +399,5 @@ class ErrorDecisions:
         return numbered("fit_light", at)
 
 
-def done(values: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Give the results of tasks that might have refused, and did not."""
-    return [value.get("attempted", value) for value in values]
-
-
-def views_of(results: Results, stage: str) -> list[dict[str, Any]] | None:
-    """Give what a stage measured, view by view; None where it has not, or was late."""
-    if not (cameras := results.get(stage)) or any("late" in one for one in cameras):
-        return None
-    return [view for camera in cameras for view in camera["views"]]
-
-
-def refusal(results: Results, stage: str) -> dict[str, Any] | None:
-    """Say why a task of a stage refused, if one did."""
-    return next((value["refused"] for value in results.get(stage, []) if "refused" in value), None)
-
-
-def held_out(results: Results, stage: str) -> float | None:
-    """Give the error of a finished validation, 0 where there is nothing to be relative to."""
-    if not (cameras := results.get(stage)):
-        return None
-    budget = pooled_budget([view for camera in cameras for view in camera["views"]])
-    total: float = budget["total"]
-    return 0.0 if budget["black_reference"] else total
-
-
-def ladder_of(request: AssetRequest) -> tuple[list[Rung], list[FitLightSettings]]:
-    """Resolve the ladder with a request's overrides: bakes and lights that differ, lowest first.
-
-    Raises
-    ------
-    SettingsError
-        The overrides are legal at no step.
-    """
-    rungs: list[Rung] = []
-    lights: list[FitLightSettings] = []
-    for quality, settings in legal_steps(request.settings):
-        if settings.fit_light not in lights:
-            lights.append(settings.fit_light)
-        if all(settings.bake != other.settings.bake for other in rungs):
-            rungs.append(Rung(quality, settings, lights.index(settings.fit_light)))
-    return rungs, lights
+def _meets(total: float, trail: Trail) -> bool:
+    return total <= WINDOW[1] * trail.aim

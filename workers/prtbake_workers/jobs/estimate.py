@@ -169,8 +169,9 @@ def _scene(
     """Plan the scene: also gives the errors that are known before the first ray."""
     settings, quality = _settings(request)
     args = arguments(body, given, settings, quality)
-    if isinstance(request, AssetRequest) and request.budget is not None:
-        args["steps"] = {name: own.to_dict() for name, own in legal_steps(request.settings)[1:]}
+    if isinstance(request, AssetRequest) and request.budget is not None and request.budget.searched:
+        steps = legal_steps(request.settings)[1:]
+        args["steps"] = {name: own.to_dict() for name, own in steps}
     planned, plan = plan_scene(args, store)
     alone = isinstance(request, BakeRequest)
     resolved = replace(settings, bake=BakeSettings.model_validate(planned.header["bake"]))
@@ -183,7 +184,7 @@ def _scene(
         plan=plan.to_dict(),
         seconds=seconds,
         total_seconds=lasting,
-        artefact_bytes={name: plan.artefact_bytes[name] for name in files},
+        artefact_bytes=_at_most(request, {name: plan.artefact_bytes[name] for name in files}),
         artefact_bytes_at_most=with_reports(
             {} if alone else preview_files(resolved.render) | validation_files(resolved.validation),
             n_parts=len(plan.parts),
@@ -207,11 +208,21 @@ def _scene(
     )
 
 
+def _at_most(request: AssetRequest | BakeRequest, predicted: dict[str, int]) -> dict[str, int]:
+    """Hold the predicted bytes of the asset against those that it may have."""
+    if not isinstance(request, AssetRequest) or request.budget is None:
+        return predicted
+    most = request.budget.max_bytes
+    return predicted if most is None else predicted | {"asset.h5": min(predicted["asset.h5"], most)}
+
+
 def _budget_warnings(
     request: AssetRequest | BakeRequest, plan: Plan, lasting: float
 ) -> tuple[str, ...]:
     """Say what of a search is predicted, and whether its time can be kept at all."""
     if not isinstance(request, AssetRequest) or request.budget is None:
+        return ()
+    if not request.budget.searched:
         return ()
     steps = ", ".join(f"{step.quality} {step.seconds:.0f} s" for step in plan.ladder)
     found = [
@@ -429,5 +440,6 @@ def _durations(
 
 def _settings(request: AssetRequest | BakeRequest) -> tuple[StageSettings, Any]:
     if isinstance(request, AssetRequest):
-        return resolve_stages(request.planned_quality, request.settings), request.planned_quality
+        quality = request.planned_quality
+        return resolve_stages(quality, request.planned_settings), quality
     return StageSettings.for_bake(request.settings, request.quality), request.quality or "medium"

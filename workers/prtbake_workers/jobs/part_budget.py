@@ -13,12 +13,16 @@ from prtbake_storage.queue.context import TaskContext
 from prtbake_workers.compress.methods import Model
 from prtbake_workers.deadline import Deadline
 from prtbake_workers.planning.byte_budget import Extent, sized_to_bytes
+from prtbake_workers.planning.file_bytes import frame_bytes
 from prtbake_workers.planning.packed_bytes import packed_bytes
 from prtbake_workers.planning.presets import PartCompression
 from prtbake_workers.planning.stage_work import compress_work
 
 START_SECONDS = 0.9
 """Of a task's process, of which a part has one and the asset another."""
+
+LEAST_SHARE = 0.1
+"""Of what the mesh leaves of bytes that are asked for, that factors are sized for at least."""
 
 READS = 2.5
 """Times that writing and measuring the asset takes what reading the transfer does: 2.2 measured."""
@@ -54,7 +58,7 @@ def planned_fit(
         sizes = sized_to_bytes(
             extents_of(header),
             sizes,
-            float(max_bytes - mesh_bytes(header)),
+            factor_bytes(max_bytes, header),
             clusters_given=args["clusters_given"],
         )
     own: PartCompression = sizes[args["part"]]
@@ -79,6 +83,15 @@ def extents_of(header: TransferHeader) -> list[Extent]:
         Extent(part.n_vertices, part.n_terms, header.basis.n_coeffs, part.n_channels)
         for part in header.parts
     ]
+
+
+def factor_bytes(max_bytes: int, header: TransferHeader) -> float:
+    """Give what mesh and file format leave of an asset's bytes.
+
+    Of a small file the format is most, and foretold too roughly to be taken off in full.
+    """
+    left = float(max_bytes - mesh_bytes(header))
+    return max(left - frame_bytes(len(header.parts)), LEAST_SHARE * left)
 
 
 def mesh_bytes(header: TransferHeader) -> int:

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.settings import AssetSettings, BakeSettings, Effects, Quality
+from prtbake_storage.contract.budget import AssetBudget
+from prtbake_storage.contract.settings import (
+    AssetSettings,
+    BakeSettings,
+    CompressSettings,
+    Effects,
+    Quality,
+)
+from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
@@ -36,7 +44,7 @@ from prtbake_workers.jobs.scene_file import (
 )
 from prtbake_workers.planning.cluster_limit import cluster_note
 from prtbake_workers.planning.effects import decide_effects
-from prtbake_workers.planning.file_bytes import known_bytes
+from prtbake_workers.planning.file_bytes import known_bytes, least_bytes
 from prtbake_workers.planning.grain import Grain, grain_notes
 from prtbake_workers.planning.ladder_steps import StepCost, ladder_steps, neighbours
 from prtbake_workers.planning.light_resolution import choose_light_resolution
@@ -93,8 +101,15 @@ def arguments(
         "settings": settings.to_dict(),
         "quality": quality,
         "steps": _steps(request, quality),
+        "budget_bytes": _budget_bytes(request),
         "seed": request.get("seed", 0),
     }
+
+
+def _budget_bytes(request: dict[str, Any]) -> int | None:
+    """Give the bytes that a budget leaves an asset; a lone bake has none."""
+    budget = request.get("budget") if "environment" in request else None
+    return None if budget is None else budget.get("max_bytes")
 
 
 def _steps(request: dict[str, Any], quality: Quality) -> dict[str, Any]:
@@ -103,6 +118,8 @@ def _steps(request: dict[str, Any], quality: Quality) -> dict[str, Any]:
     if own is None:
         return {}
     overrides = AssetSettings.model_validate(request.get("settings", {}))
+    if request.get("budget") is not None:
+        overrides = AssetBudget.model_validate(request["budget"]).laid_over(overrides)
     return {quality: settings.to_dict() for quality, settings in neighbours(own, overrides).items()}
 
 
@@ -135,6 +152,9 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         bodies=bodies_of(roles),
         two_sided=tuple(part.two_sided for part in parts),
     )
+    arrays = [scene.positions, scene.normals]
+    arrays += [] if scene.uv is None else [np.nan_to_num(scene.uv)]
+    _check_bytes(args["budget_bytes"], settings.compress, least_bytes(arrays, scene.faces))
     requested = Effects.model_validate(args["effects"])
     specs = [json.dumps(part.brdf, sort_keys=True) for part in parts]
     view_dependent = requested.view_dependence != "off"
@@ -216,8 +236,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         probe_bytes=probe_bytes,
         probe_work=probe_work,
         known=known_bytes(
-            [scene.positions, scene.normals]
-            + ([] if scene.uv is None else [np.nan_to_num(scene.uv)]),
+            arrays,
             scene.faces,
             [
                 [one for one in (texture, own) if one is not None]
@@ -306,6 +325,19 @@ def _trials(
         max_error=asked.max_quantisation_error,
         seed=seed,
     )
+
+
+def _check_bytes(budget: int | None, compress: CompressSettings, least: int) -> None:
+    """Refuse bytes that the mesh alone exceeds, before anything is baked."""
+    asked, pointer = budget, "/budget/max_bytes"
+    if asked is None:
+        asked, pointer = compress.max_bytes, "/settings/compress/max_bytes"
+    if asked is not None and asked < least:
+        raise SettingsError(
+            f"max_bytes is {asked}: the mesh alone takes more than {least}, and tables and labels "
+            "come to it",
+            pointer=pointer,
+        )
 
 
 def _header(

@@ -6,15 +6,19 @@ from what the attempts before measured; the others are empty, and pass in a mome
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import leaving
 from prtbake_workers.jobs.work import wall_seconds
+from prtbake_workers.report.account import pooled_budget
 
 BAKE = ("plan", "bake", "scattering", "bounces", "add_bounces", "join")
 """Stages from a request to its transfer."""
+
+MADE = (*BAKE, "fit_light", "compress", "quantise")
+"""Stages that make an asset."""
 
 AFTER = ("render", "validate", "report")
 """Stages that come after a search."""
@@ -39,9 +43,60 @@ def attempt_view(results: Results, attempt: int, names: Iterable[str] = BAKE) ->
     return view(results, {name: numbered(name, attempt) for name in names})
 
 
+def held_predictions(planned: dict[str, Any], most: int | None) -> dict[str, Any]:
+    """Hold what a plan's result predicts of ``asset.h5``, here and beside, against its bytes."""
+    if most is None:
+        return planned
+    plan = planned["plan"]
+    files = plan["artefact_bytes"]
+    ladder = [step | {"asset_bytes": min(step["asset_bytes"], most)} for step in plan["ladder"]]
+    held = {"artefact_bytes": files | {"asset.h5": min(files["asset.h5"], most)}, "ladder": ladder}
+    return planned | {"plan": plan | held}
+
+
 def unshared(planned: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Give the compression of each part, its steps in one task: an attempt has no rounds."""
     return [part["compression"] | {"tasks": 1} for part in planned["parts"]]
+
+
+def done(values: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give the results of tasks that might have refused, and did not."""
+    return [value.get("attempted", value) for value in values]
+
+
+def refusal(results: Results, stage: str) -> dict[str, Any] | None:
+    """Say why a task of a stage refused, if one did."""
+    return next((value["refused"] for value in results.get(stage, []) if "refused" in value), None)
+
+
+def refuse_as(refused: Mapping[str, Any]) -> NoReturn:
+    """Refuse a job for what a task of an attempt refused; bytes are those of the budget.
+
+    Raises
+    ------
+    SettingsError
+        Always.
+    """
+    pointer = refused["pointer"]
+    if (pointer or "").endswith("/compress/max_bytes"):
+        pointer = "/budget/max_bytes"
+    raise SettingsError(refused["detail"], pointer=pointer)
+
+
+def views_of(results: Results, stage: str) -> list[dict[str, Any]] | None:
+    """Give what a stage measured, view by view; None where it has not, or was late."""
+    if not (cameras := results.get(stage)) or any("late" in one for one in cameras):
+        return None
+    return [view for camera in cameras for view in camera["views"]]
+
+
+def held_out(results: Results, stage: str) -> float | None:
+    """Give the error of a finished validation, 0 where there is nothing to be relative to."""
+    if not (cameras := results.get(stage)):
+        return None
+    budget = pooled_budget([view for camera in cameras for view in camera["views"]])
+    total: float = budget["total"]
+    return 0.0 if budget["black_reference"] else total
 
 
 def is_late(results: Results) -> bool:
@@ -104,7 +159,7 @@ def account(tried: Iterable[Tried], results: Results) -> list[dict[str, Any]]:
                 "name": one.name,
                 "error": one.error,
                 "seconds": seconds_of(results, one.stages),
-                "bytes": results[files[-1]][0].get("bytes") if files else None,
+                "bytes": done(results[files[-1]])[0].get("bytes") if files else None,
                 "taken": one.taken,
                 "why": one.why,
             }

@@ -20,11 +20,11 @@ from prtbake_storage.hdf5.transfer import TransferFile
 from prtbake_storage.hdf5.writer import asset_size
 from prtbake_workers.arrays import F64
 from prtbake_workers.compress.at_price import at_distortion
-from prtbake_workers.jobs.delivered import delivered_errors
+from prtbake_workers.jobs.delivered import delivered_errors, write_delivered
 from prtbake_workers.jobs.rounding import Rounded, energy_of, write_scaled
 
 NEAR = 0.98
-"""Of the bytes that are asked for: a file between this share of them and all of them will do."""
+"""Of what mesh, tables and labels leave of the bytes, that a file has to fill at least."""
 
 LEAST = 0.9
 """Of them: a file below this share is worth a note."""
@@ -69,6 +69,42 @@ class _Try:
     parts: tuple[Part, ...]
     scales: list[Scales]
     size: int
+
+
+def write_asked(
+    path: Path,
+    whole: Asset,
+    transfer: TransferFile,
+    args: dict[str, Any],
+    finished: Callable[[Asset], Asset],
+) -> Sized:
+    """Write the asset with the bits, to the error or to the bytes that are asked for.
+
+    Parameters
+    ----------
+    path, whole, transfer, finished
+        As of `write_sized`.
+    args
+        ``max_bytes``, ``max_error``, and ``held_to``, bytes that a file of neither is cut to where
+        it takes more; each may be None.  ``left``, ``energies`` and ``rounding`` as of
+        `write_delivered`.
+
+    Raises
+    ------
+    SettingsError
+        The bytes are too few.
+    """
+    asked, held_to, by_error = args.get("max_bytes"), args.get("held_to"), args["max_error"]
+    if asked is not None and by_error is None:
+        return write_sized(path, whole, transfer, args, finished)
+    exact = finished(whole)
+    rounded, delivered = write_delivered(path, exact, transfer, args)
+    if held_to is not None:
+        args = args | {"max_bytes": held_to}
+        if by_error is None and path.stat().st_size > held_to:
+            return write_sized(path, whole, transfer, args, finished)
+    check_bytes(path, args)
+    return Sized(exact, rounded, delivered)
 
 
 def write_sized(
@@ -118,9 +154,15 @@ def write_sized(
         size = asset_size(asset, bits=scales, errors=[0.0] * len(parts))
         return _Try(distortion, asset.parts, scales, size)
 
+    least = tried_at(COARSEST)
     aim, size = asked, asked + 1
     while size > asked:
-        best = _largest_below(tried_at, aim, asked)
+        if least.size > aim:
+            raise SettingsError(
+                f"max_bytes is {asked}: mesh, tables and labels alone take {least.size}",
+                pointer="/settings/compress/max_bytes",
+            )
+        best = _largest_below(tried_at, aim, least)
         kept = replace(exact, parts=best.parts)
         rounded = write_scaled(path, kept, transfer, best.scales, args["rounding"], args["left"])
         size = path.stat().st_size
@@ -155,8 +197,9 @@ def relative_areas(transfer: TransferFile) -> list[F64]:
     ]
 
 
-def _largest_below(tried_at: Callable[[float], _Try], aim: int, asked: int) -> _Try:
+def _largest_below(tried_at: Callable[[float], _Try], aim: int, least: _Try) -> _Try:
     """Search the distortion: sizes fall as it grows, about by its logarithm."""
+    spare = (1.0 - NEAR) * (aim - least.size)
     best: _Try | None = None
     above: _Try | None = None
     place = log(FIRST)
@@ -165,7 +208,7 @@ def _largest_below(tried_at: Callable[[float], _Try], aim: int, asked: int) -> _
         if tried.size <= aim:
             if best is None or (tried.size, -tried.distortion) > (best.size, -best.distortion):
                 best = tried
-            if tried.size >= NEAR * aim or place <= log(FINEST):
+            if tried.size >= aim - spare or place <= log(FINEST):
                 break
         else:
             above = tried
@@ -179,16 +222,10 @@ def _largest_below(tried_at: Callable[[float], _Try], aim: int, asked: int) -> _
         if coarse - fine < 1e-3:
             break
         # between the two, by size, and never close to either: sizes go in steps of columns
-        share = (0.5 * (1.0 + NEAR) * aim - best.size) / (above.size - best.size)
+        share = (aim - 0.5 * spare - best.size) / (above.size - best.size)
         share = 0.5 if above.size == UNDRAWN else share
         place = coarse + min(0.9, max(0.1, share)) * (fine - coarse)
-    if best is None:
-        least = tried_at(COARSEST).size
-        raise SettingsError(
-            f"max_bytes is {asked}: mesh, tables and labels alone take {least}",
-            pointer="/settings/compress/max_bytes",
-        )
-    return best
+    return best or least
 
 
 def _left_out(transfer: TransferFile, kept: Asset, left: Sequence[float]) -> dict[str, float]:

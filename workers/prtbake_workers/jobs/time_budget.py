@@ -2,7 +2,8 @@
 
 The lowest step comes first, if its prediction fits at all.  What it took says how far predictions
 are off here and now; the highest step that then fits is made after it, and so on.  Tasks of an
-attempt that runs late leave, and the best so far is delivered.
+attempt that runs late leave, and the best so far is delivered.  Where bytes are asked for too,
+every attempt keeps to them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,17 +17,22 @@ from prtbake_workers.jobs import bake, clock, compress, fit_light, render, valid
 from prtbake_workers.jobs.lights import light_source
 from prtbake_workers.jobs.search_stages import (
     AFTER,
-    BAKE,
+    MADE,
     Tried,
     attempt_view,
     check_least,
+    done,
+    held_predictions,
     is_late,
     limit,
     numbered,
+    refusal,
+    refuse_as,
     seconds_of,
     unshared,
     view,
 )
+from prtbake_workers.jobs.shared_stages import attempted
 from prtbake_workers.jobs.work import asset_work, fit_samples, n_texels, wall_seconds
 from prtbake_workers.planning.ladder_steps import legal_steps, making_seconds
 from prtbake_workers.planning.later_stages import later_work
@@ -41,9 +47,6 @@ from prtbake_workers.planning.time_search import (
     predicted_seconds,
     samples_for,
 )
-
-MADE = (*BAKE, "fit_light", "compress", "quantise")
-"""Stages of an attempt."""
 
 
 @dataclass
@@ -71,7 +74,7 @@ class TimeSearch:
         self._parsed = AssetRequest.model_validate(request)
         if self._parsed.budget is None or self._parsed.budget.max_seconds is None:
             raise ValueError("a search for a time needs one")
-        self._seconds = self._parsed.budget.max_seconds
+        self._seconds, self._most = self._parsed.budget.max_seconds, self._parsed.budget.max_bytes
         self._ladder = legal_steps(self._parsed.settings)
         self._bakes = [
             {stage.name: stage for stage in bake.stages(request, context, settings, quality)}
@@ -87,7 +90,8 @@ class TimeSearch:
         Raises
         ------
         SettingsError
-            The time is too short for the lowest step; it tells what that is predicted to take.
+            The time is too short for the lowest step, or the bytes are too few; it tells what that
+            is predicted to take, or takes.
         """
         trail = Trail(steps=[0])
         self._check_first(results)
@@ -96,6 +100,10 @@ class TimeSearch:
             own = attempt_view(results, attempt, MADE)
             if is_late(own):
                 return self._stopped(trail)
+            if (refused := refusal(own, "quantise")) is not None:
+                if attempt == 0:
+                    refuse_as(refused)
+                return self._given_up(trail, refused["detail"], "the best that fits into the bytes")
             looked = results.get(numbered("clock", attempt))
             if not looked:
                 return trail
@@ -143,11 +151,15 @@ class TimeSearch:
                 "the least there is, was made: this machine was slower than predicted",
                 pointer="/budget/max_seconds",
             )
-        self._enter(trail, taken=False, why="given up: its time was out")
+        why = "given up: its time was out"
+        return self._given_up(trail, why, "the best that was made in time")
+
+    def _given_up(self, trail: Trail, why: str, why_before: str) -> Trail:
+        """Leave the last attempt for the one before."""
+        self._enter(trail, taken=False, why=why)
         trail.steps.pop()
         trail.over = True
-        before = trail.tried[-2]
-        trail.tried[-2] = replace(before, taken=True, why="the best that was made in time")
+        trail.tried[-2] = replace(trail.tried[-2], taken=True, why=why_before)
         return trail
 
     def _check_first(self, results: Results) -> None:
@@ -266,14 +278,18 @@ class TimeSearch:
             return results["join"][0]["transfer"], unshared(results["plan"][0]["plan"])
 
         settings, seed = self._ladder[step][1], self._parsed.seed
+        started = self._context.get("started")
         later = [
-            *compress.stages(planned, settings.compress, seed),
-            *fit_light.stages(self._environment, settings.fit_light, seed),
+            *compress.stages(planned, settings.compress, seed, started=started, held_to=self._most),
+            *fit_light.stages(self._environment, settings.fit_light, seed, started=started),
         ]
         return self._bakes[step] | {stage.name: stage for stage in later}
 
     def _tasks(self, name: str, step: int, own: Results, *, first: bool) -> list[Task]:
         tasks = self._models(step)[name].tasks(own)
+        if name == "quantise" and self._most is not None:
+            # mesh and tables of a step may take more than all bytes
+            return [attempted(task) for task in tasks]
         if name != "plan" or not first:
             return tasks
         # the first plan predicts all the others
@@ -325,4 +341,10 @@ class TimeSearch:
 
     def delivered(self, results: Results) -> Results:
         """Give the stages behind what is delivered, by the names that they have in other jobs."""
-        return view(results, self._names(results))
+        seen, found = view(results, self._names(results)), Results()
+        for name in seen:
+            values = done(seen[name])
+            if name == "plan":
+                values = [held_predictions(values[0], self._most)]
+            found.add(name, values, seen.measured(name), recalled=seen.recalled(name))
+        return found

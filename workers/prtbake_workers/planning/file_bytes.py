@@ -35,6 +35,9 @@ PROVENANCE_BYTES = 1500
 CENTRE_BYTES, LABEL_BYTES = 13.1, 0.2
 """Of an SRBF's centre, three float64 of an icosphere, and of a vertex' label."""
 
+SURE_SHARE = 0.9
+"""Of the packed mesh, that the file is sure to take: of a large one some chunks are packed."""
+
 MANY_TERMS_SHARE, SHADOWED_SHARE, EVEN_SHARE = 0.85, 0.83, 0.74
 """Of 2 bytes a coefficient: of more terms than one, of one whose light the part itself or another
 blocks, and of one on a plane or in the open, which is smoother."""
@@ -161,6 +164,11 @@ def known_bytes(
     return KnownBytes(transfer, asset, texels)
 
 
+def least_bytes(mesh: Sequence[NDArray[Any]], faces: I32) -> int:
+    """Give bytes that no ``asset.h5`` of a mesh is smaller than; ``mesh`` as in `known_bytes`."""
+    return round(SURE_SHARE * (known_bytes(mesh, faces, (), (), ()).asset[16] - PROVENANCE_BYTES))
+
+
 def texture_side(factorisation: Factorisation) -> int:
     """Foresee the resolution that `fit_view_texture` comes to, from the error of the coarsest."""
     sampled = view_texture(factorisation, SMALLEST, supersample=1)
@@ -231,6 +239,11 @@ def light_bytes(settings: FitLightSettings) -> int:
         return found if settings.max_bytes is None else min(found, settings.max_bytes)
     functions = (settings.n_centres or 0) + (settings.sh_order or 0) ** 2
     return 2300 + round(0.94 * 24 * (functions + (settings.n_wavelets or 0)))
+
+
+def frame_bytes(n_parts: int) -> int:
+    """Predict what is no array's in ``asset.h5``."""
+    return _frame(n_parts, ASSET_ARRAYS) + PROVENANCE_BYTES
 
 
 def _frame(n_parts: int, more: int) -> int:

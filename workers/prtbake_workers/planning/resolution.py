@@ -8,8 +8,9 @@ from prtbake_workers.planning.step_errors import Resolution, light_functions
 def resolution_of(plan: Plan, settings: StageSettings, energy_lost: float) -> Resolution:
     """Count what `Resolution` holds; ``energy_lost`` is what the plan's terms leave.
 
-    Compression to a given error decides by that, and not by its sizes.
+    Compression to a given error or to bytes decides by that, and not by its sizes.
     """
+    sized = settings.compress.max_error is not None or settings.compress.max_bytes is not None
     bake = settings.planned_bake
     vectors = sum(vectors_of(part.compression) for part in plan.parts)
     return Resolution(
@@ -17,7 +18,7 @@ def resolution_of(plan: Plan, settings: StageSettings, energy_lost: float) -> Re
         directions=6 * (bake.cube_resolution * bake.supersample) ** 2,
         functions=bake.n_coeffs,
         light_functions=light_functions(settings.fit_light),
-        vectors=0 if settings.compress.max_error is not None else vectors,
+        vectors=0 if sized else vectors,
     )
 
 

@@ -107,7 +107,7 @@ QualityOrBudget = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="draft, low, medium, high or reference; medium unless a budget is given.",
+        help="draft, low, medium, high or reference; medium unless a budget finds one.",
         callback=one_of(*get_args(QualityName)),
     ),
 ]
@@ -116,6 +116,13 @@ MaxError = Annotated[
     typer.Option(
         metavar="RATIO",
         help="In place of a quality: what pictures may err by, relative L2, as 0.05.",
+    ),
+]
+MaxBytes = Annotated[
+    int | None,
+    typer.Option(
+        metavar="BYTES",
+        help="What asset.h5 may take, as 500000; alone it goes with a quality.",
     ),
 ]
 MaxSeconds = Annotated[

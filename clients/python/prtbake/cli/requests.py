@@ -31,6 +31,7 @@ from prtbake.cli.options import (
     Exact,
     Label,
     Layout,
+    MaxBytes,
     MaxError,
     MaxSeconds,
     Medium,
@@ -86,6 +87,7 @@ def asset(
     add_light: AddLight = None,
     quality: QualityOrBudget = None,
     max_error: MaxError = None,
+    max_bytes: MaxBytes = None,
     max_seconds: MaxSeconds = None,
     receiver: Receiver = None,
     albedo_texture: Texture = None,
@@ -133,7 +135,7 @@ def asset(
         **scene,
         "environment": light,
         **added_lights(client, add_light),
-        **_quality_or_budget(quality, max_error, max_seconds),
+        **_quality_or_budget(quality, max_error, max_bytes, max_seconds),
         "settings": settings,
         **_common(label, priority, seed, timeout),
     }
@@ -404,10 +406,13 @@ def _stage_settings(pairs: list[str] | None) -> Request:
 
 
 def _quality_or_budget(
-    quality: str | None, max_error: float | None, max_seconds: float | None
+    quality: str | None,
+    max_error: float | None,
+    max_bytes: int | None,
+    max_seconds: float | None,
 ) -> Request:
-    """Say what the asset may cost, or how good it shall be; the service refuses both together."""
-    given = {"max_error": max_error, "max_seconds": max_seconds}
+    """Say what the asset may cost, or how good it shall be; the service refuses most of both."""
+    given = {"max_error": max_error, "max_bytes": max_bytes, "max_seconds": max_seconds}
     budget = {name: value for name, value in given.items() if value is not None}
     if not budget:
         return {"quality": quality or "medium"}
