@@ -25,6 +25,7 @@ from prtbake_workers.planning.light_resolution import (
     candidates,
     choose_light_resolution,
     pick,
+    try_light_resolutions,
 )
 from prtbake_workers.planning.plan import resolves
 from prtbake_workers.planning.sampled_transfer import SampledTransfer
@@ -317,3 +318,26 @@ def test_candidates_are_what_is_open_and_resolved(settings, expected):
     assert found == expected
     if settings["cube_resolution"] != 2:
         assert all(resolves(one, count) for count, fine in found.items() for one in fine)
+
+
+def test_pairs_are_tried_as_a_choice_tries_them_until_they_are_not_worth_it(few_centres):
+    bake = BakeSettings.model_validate(OPEN)
+    asked = []
+
+    def worth_trying(n_centres, before):
+        asked.append((n_centres, len(before)))
+        return n_centres < 162
+
+    found = try_light_resolutions(
+        BALL,
+        [None],
+        [GLOSSY],
+        bake,
+        resolutions=candidates(bake),
+        worth_trying=worth_trying,
+        seed=1,
+    )
+    all_pairs = chosen(BALL, [GLOSSY], projection_tolerance=1e-6).decision.evidence["candidates"]
+    assert [one.to_dict() for one in found] == all_pairs[: len(found)]
+    assert {one.n_centres for one in found} == {12, 42}
+    assert asked == [(12, 0), (42, len(RESOLUTIONS)), (162, 2 * len(RESOLUTIONS))]

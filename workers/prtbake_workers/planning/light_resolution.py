@@ -5,7 +5,7 @@ directions miss.  Both show in directions that the fit has not seen: see `held_o
 measured there for every candidate, before anything is baked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,14 +137,7 @@ def choose_light_resolution(
     runs on one thread, so that the evidence is the same bytes everywhere.
     """
     rng = np.random.default_rng(seed)
-    seen = [bool(own.albedo.any()) for own in factorisations]
-    count = _vertices_of_a_part(bake, max(1, sum(seen)))
-    probed = [
-        SampledTransfer.of(
-            scene, part, own, occluders[part], count=count if seen[part] else 0, rng=rng
-        )
-        for part, own in enumerate(factorisations)
-    ]
+    probed = _probed(scene, occluders, factorisations, bake, rng)
     tolerance = bake.projection_tolerance
     tried: list[Candidate] = []
     with threadpool_limits(limits=1, user_api="blas"):
@@ -186,6 +179,57 @@ def choose_light_resolution(
     )
 
 
+def try_light_resolutions(
+    scene: Scene,
+    occluders: Sequence[Accelerator | None],
+    factorisations: Sequence[Factorisation],
+    bake: BakeSettings,
+    *,
+    resolutions: Mapping[int, tuple[int, ...]],
+    worth_trying: Callable[[int, Sequence[Candidate]], bool],
+    seed: int,
+) -> list[Candidate]:
+    """Measure what pairs of centres and cube maps leave, without choosing one.
+
+    Parameters
+    ----------
+    scene, occluders, factorisations, bake, seed
+        As `choose_light_resolution` takes them.
+    resolutions
+        Of the cube maps to try with each number of centres; these rise.
+    worth_trying
+        Whether a number of centres is to be tried, and those above it, after what was tried.
+    """
+    rng = np.random.default_rng(seed)
+    probed = _probed(scene, occluders, factorisations, bake, rng)
+    tried: list[Candidate] = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        trials = _Trials(probed, bake, rng, resolutions)
+        for n_centres in resolutions:
+            if not worth_trying(n_centres, tried):
+                break
+            tried += trials.candidates_of(n_centres)
+    return tried
+
+
+def _probed(
+    scene: Scene,
+    occluders: Sequence[Accelerator | None],
+    factorisations: Sequence[Factorisation],
+    bake: BakeSettings,
+    rng: np.random.Generator,
+) -> list[SampledTransfer]:
+    """Draw the vertices that are looked at, none of black parts."""
+    seen = [bool(own.albedo.any()) for own in factorisations]
+    count = _vertices_of_a_part(bake, max(1, sum(seen)))
+    return [
+        SampledTransfer.of(
+            scene, part, own, occluders[part], count=count if seen[part] else 0, rng=rng
+        )
+        for part, own in enumerate(factorisations)
+    ]
+
+
 def _vertices_of_a_part(bake: BakeSettings, n_parts: int) -> int:
     resolutions = {RESOLUTIONS[-1]}.union(*candidates(bake).values())
     rays = 3 * sum(one**2 for one in resolutions) * bake.supersample**2
@@ -224,8 +268,9 @@ class _Trials:
         parts: Sequence[SampledTransfer],
         bake: BakeSettings,
         rng: np.random.Generator,
+        resolutions: Mapping[int, tuple[int, ...]] | None = None,
     ) -> None:
-        self.resolutions = resolutions = candidates(bake)
+        self.resolutions = resolutions = resolutions or candidates(bake)
         self.parts = parts
         self.supersample = bake.supersample
         # given, it goes with a number of centres that is given
