@@ -1,4 +1,4 @@
-"""An asset with a budget over REST, by real workers: met, kept and refused."""
+"""Budgets over REST, by real workers: met, kept and refused."""
 
 from typing import Any
 
@@ -70,3 +70,25 @@ def test_bytes_are_kept_or_refused_at_their_field(local: Installation) -> None:
     assert job.error is not None
     assert (job.error.kind, job.error.pointer) == ("input", "/budget/max_bytes")
     assert "the mesh alone takes more than" in job.error.detail
+
+
+def test_a_lone_bake_keeps_an_error_bytes_and_a_time(local: Installation) -> None:
+    budget = {"max_error": 0.25, "max_bytes": 10_000_000, "max_seconds": 120.0}
+    ball = ball_request(local, budget)
+    request = {name: ball[name] for name in ("mesh", "brdf", "budget")} | {
+        "kind": "bake",
+        "receiver": {"resolution": 8},
+        "effects": {"interreflection": "off"},
+    }
+    estimate = local.client.estimate(request)
+    assert "the first bake for the budget" in estimate.warnings[0]
+    job = local.client.wait(local.client.submit(request).id)
+    assert job.state is JobState.succeeded, job.error
+    assert job.result is not None
+    assert job.result["search"]["error"] <= 0.25
+    assert job.result["search"]["binds"]
+    (transfer,) = (file for file in job.artefacts if file.name == "transfer.h5")
+    assert transfer.size == job.result["bytes"]["transfer.h5"] <= 10_000_000
+    assert job.started is not None
+    assert job.finished is not None
+    assert (job.finished - job.started).total_seconds() <= 1.1 * 120.0

@@ -99,6 +99,23 @@ def test_submit_asset_with_a_quality_or_a_budget(
         assert (request["quality"], request["budget"]) == (quality, budget)
 
 
+def test_submit_bake_with_a_budget(run: Run, service: LiveService) -> None:
+    canonical = service.backend.blobs.put_bytes(b"mesh of a bake's budget")
+    result = {"canonical": canonical, "understood": {}}
+    service.answer_next("register", lambda job: service.succeed(job, result))
+    asked = ("--max-error", "0.1", "--max-bytes", "1000000", "--max-seconds", "60")
+    names = ("max_error", "max_bytes", "max_seconds")
+    for options, budget in (
+        ((), None),
+        (asked[:2], dict.fromkeys(names) | {"max_error": 0.1}),
+        (asked, dict(zip(names, (0.1, 1_000_000, 60.0), strict=True))),
+    ):
+        words = ("--mesh", "builtin:teapot:12", "--brdf", "lambert", *options)
+        made = run("submit", "bake", *words, "-o", "json")
+        assert made.exit_code == 0, made.output
+        assert json.loads(made.stdout)["request"]["budget"] == budget
+
+
 def test_a_quality_beside_a_budget_is_refused(
     run: Run, service: LiveService, environment: str
 ) -> None:

@@ -13,7 +13,6 @@ from prtbake_service.validation import validation_entries
 from prtbake_storage.blobs.base import json_digest
 from prtbake_storage.contract.jobs import (
     AnyRequest,
-    AssetRequest,
     Estimate,
     Job,
     JobKind,
@@ -93,7 +92,7 @@ class JobService:
     def _machine(self, request: AnyRequest) -> dict[str, Any]:
         """Tell what work takes here; a job with a time to keep also asks how many share it."""
         rates = {"rates": self._backend.rates.current()}
-        if isinstance(request, AssetRequest) and request.budget is not None:
+        if getattr(request, "budget", None) is not None:
             return rates | {"tile_slots": self._backend.tile_slots()}
         return rates
 

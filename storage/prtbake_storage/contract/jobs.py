@@ -14,6 +14,7 @@ from pydantic import (
     field_validator,
 )
 
+from prtbake_storage.contract.bake_budget import BakeBudget, check_beside
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
 from prtbake_storage.contract.budget import AssetBudget
@@ -96,8 +97,12 @@ class _OneStage(_Request):
     def _sparse_below_a_quality(
         self, settings: Wire, info: FieldSerializationInfo
     ) -> dict[str, Any]:
-        """Keep what was given apart from what was not: defaults would stand in a quality's way."""
-        sparse = bool(info.exclude_unset) or self.quality is not None
+        """Keep what was given apart from what was not: defaults would stand in a quality's way.
+
+        Nor could a budget tell them from what it is not to choose.
+        """
+        chosen = self.quality is not None or getattr(self, "budget", None) is not None
+        sparse = bool(info.exclude_unset) or chosen
         return settings.model_dump(mode="json", exclude_unset=sparse)
 
 
@@ -123,7 +128,25 @@ class BakeRequest(_SceneRequest, _OneStage):
     """Simulate transport: gives ``transfer.h5``."""
 
     kind: Literal["bake"] = "bake"
+    budget: BakeBudget | None = None
+    """What it may leave, weigh and take, in place of a quality."""
     settings: BakeSettings = BakeSettings()
+
+    @field_validator("budget")
+    @classmethod
+    def _one_of_two(cls, budget: BakeBudget | None, info: ValidationInfo) -> BakeBudget | None:
+        if budget is not None and info.data.get("quality") is not None:
+            raise ValueError("one quality or budget: the budget chooses what a quality would")
+        return budget
+
+    @field_validator("settings")
+    @classmethod
+    def _not_the_budgets(cls, settings: BakeSettings, info: ValidationInfo) -> BakeSettings:
+        """Refuse settings that would decide what the budget decides."""
+        budget = info.data.get("budget")
+        if budget is not None:
+            check_beside(budget, settings.model_dump(exclude_unset=True))
+        return settings
 
 
 class CompressRequest(_OneStage):
@@ -332,7 +355,7 @@ def _points(base: Studied, axes: list[Axis]) -> list[StudyPoint]:
         except ValueError as error:
             points.append(StudyPoint(index, values, None, first_fault(error)))
             continue
-        if isinstance(request, AssetRequest) and request.budget is not None:
+        if getattr(request, "budget", None) is not None:
             points.append(StudyPoint(index, values, None, NO_BUDGETS))
         else:
             points.append(StudyPoint(index, values, request, None))

@@ -1,9 +1,10 @@
-"""An ``asset`` job with a budget: a search for what it is made of, then its report."""
+"""A job with a budget, ``asset`` or ``bake``: a search for what it is made of, then its report."""
 
 from typing import Any
 
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs import report
+from prtbake_workers.jobs.bake_budget import BakeSearch
 from prtbake_workers.jobs.byte_budget import ByteBudget
 from prtbake_workers.jobs.error_budget import ErrorSearch
 from prtbake_workers.jobs.search_stages import account
@@ -12,14 +13,16 @@ from prtbake_workers.jobs.work import learnt
 
 
 def has_one(kind: str, request: dict[str, Any]) -> bool:
-    """Tell whether a request is of an asset with a budget."""
-    return kind == "asset" and request.get("budget") is not None
+    """Tell whether a request is of an asset or a bake with a budget."""
+    return kind in ("asset", "bake") and request.get("budget") is not None
 
 
 def search_of(
     request: dict[str, Any], context: dict[str, Any]
-) -> ErrorSearch | TimeSearch | ByteBudget:
+) -> ErrorSearch | TimeSearch | ByteBudget | BakeSearch:
     """Make the search that a budget calls for."""
+    if request.get("kind") == "bake":
+        return BakeSearch(request, context)
     if request["budget"].get("max_error") is not None:
         return ErrorSearch(request, context)
     if request["budget"].get("max_seconds") is not None:
@@ -41,6 +44,8 @@ def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list
             "attempts": account(search.tried(results), results),
         }
         args["asset_notes"] = [*args["asset_notes"], *_notes(request["budget"], seen)]
+        if isinstance(search, BakeSearch):
+            args["search"] |= search.account(results)
         own = {stage["name"] for stage in args["stages"]}
         args["stages"] += [
             report.stage_cost(name, results) | {"predicted_seconds": None, "errors": {}}

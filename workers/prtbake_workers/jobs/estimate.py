@@ -36,6 +36,7 @@ from prtbake_workers.brdf.oriented_factorisation import OrientedFactorisation
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.jobs import calibrate, study_estimate
+from prtbake_workers.jobs.bake_budget import BakeSearch
 from prtbake_workers.jobs.compress import compressions_of, work_of
 from prtbake_workers.jobs.lights import check_light, light_source
 from prtbake_workers.jobs.plan import arguments, plan_scene
@@ -168,6 +169,10 @@ def _scene(
 ) -> Estimate:
     """Plan the scene: also gives the errors that are known before the first ray."""
     settings, quality = _settings(request)
+    foretold: dict[str, float] = {}
+    tried: tuple[str, ...] = ()
+    if isinstance(request, BakeRequest) and request.budget is not None:
+        settings, foretold, tried = _first_bake(body, given, store)
     args = arguments(body, given, settings, quality)
     if isinstance(request, AssetRequest) and request.budget is not None and request.budget.searched:
         steps = legal_steps(request.settings)[1:]
@@ -199,8 +204,10 @@ def _scene(
             for part, factorisation in zip(
                 planned.header["parts"], planned.factorisations, strict=True
             )
-        },
+        }
+        | foretold,
         warnings=[
+            *tried,
             *plan.notes,
             *(() if alone else uncounted(resolved.compress, resolved.fit_light).values()),
             *_budget_warnings(request, plan, lasting),
@@ -214,6 +221,32 @@ def _at_most(request: AssetRequest | BakeRequest, predicted: dict[str, int]) -> 
         return predicted
     most = request.budget.max_bytes
     return predicted if most is None else predicted | {"asset.h5": min(predicted["asset.h5"], most)}
+
+
+def _first_bake(
+    body: dict[str, Any], given: dict[str, Any], store: BlobStore
+) -> tuple[StageSettings, dict[str, float], tuple[str, ...]]:
+    """Try the scene of a bake with a budget: settings of its first bake, what that is to leave.
+
+    Raises
+    ------
+    SettingsError
+        The job would be refused before it baked.
+    """
+    first = BakeSearch(body, given).first(store)
+    errors = {
+        f"directions and functions ({name})": float(error)
+        for name, error in zip(first.names, first.projection, strict=True)
+    }
+    return (
+        first.settings,
+        errors,
+        (
+            f"the first bake for the budget, whose seconds, bytes and memory these are, is "
+            f"predicted to leave {first.error:.2%} (relative L2) in {first.size} bytes; others may "
+            "follow, as it measures itself",
+        ),
+    )
 
 
 def _budget_warnings(

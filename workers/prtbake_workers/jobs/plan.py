@@ -114,6 +114,8 @@ def _budget_bytes(request: dict[str, Any]) -> int | None:
 
 def _steps(request: dict[str, Any], quality: Quality) -> dict[str, Any]:
     """Give the settings of the qualities beside that of an asset, or of an attempt of a budget."""
+    if "environment" not in request:
+        return {}  # a lone bake, whose settings are of no stages
     own = quality if request.get("budget") is not None else request.get("quality")
     if own is None:
         return {}

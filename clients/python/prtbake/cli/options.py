@@ -125,6 +125,20 @@ MaxBytes = Annotated[
         help="What asset.h5 may take, as 500000; alone it goes with a quality.",
     ),
 ]
+MaxBakeError = Annotated[
+    float | None,
+    typer.Option(
+        "--max-error",
+        metavar="RATIO",
+        help="In place of a quality: what the transfer may err by, relative L2, as 0.1.",
+    ),
+]
+MaxTransferBytes = Annotated[
+    int | None,
+    typer.Option(
+        "--max-bytes", metavar="BYTES", help="In place of a quality: of transfer.h5, at most."
+    ),
+]
 MaxSeconds = Annotated[
     float | None,
     typer.Option(metavar="SECONDS", help="In place of a quality: what the job may take."),

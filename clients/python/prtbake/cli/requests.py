@@ -31,9 +31,11 @@ from prtbake.cli.options import (
     Exact,
     Label,
     Layout,
+    MaxBakeError,
     MaxBytes,
     MaxError,
     MaxSeconds,
+    MaxTransferBytes,
     Medium,
     Mesh,
     MeshFormat,
@@ -157,6 +159,9 @@ def bake(
     receiver_texture: ReceiverTexture = None,
     effect: Effect = None,
     quality: StageQuality = None,
+    max_error: MaxBakeError = None,
+    max_bytes: MaxTransferBytes = None,
+    max_seconds: MaxSeconds = None,
     setting: Set = None,
     mesh_format: MeshFormat = "auto",
     crease_angle: CreaseAngle = None,
@@ -190,6 +195,7 @@ def bake(
         **scene,
         "settings": settings,
         **({} if quality is None else {"quality": quality}),
+        **_budget(max_error=max_error, max_bytes=max_bytes, max_seconds=max_seconds),
         **_common(label, priority, seed, timeout),
     }
 
@@ -403,6 +409,12 @@ def _stage_settings(pairs: list[str] | None) -> Request:
             raise typer.BadParameter(f"write {stage}.NAME=VALUE", param_hint="--set")
         legal_names(fields, STAGES[stage].model_fields, stage, "--set")
     return given
+
+
+def _budget(**asked: float | None) -> Request:
+    """Say what a job may err by, weigh and take; nothing where nothing is asked."""
+    budget = {name: value for name, value in asked.items() if value is not None}
+    return {"budget": budget} if budget else {}
 
 
 def _quality_or_budget(

@@ -1,0 +1,270 @@
+"""Lone bakes with a budget through the real stages, in this process."""
+
+import time
+from math import sqrt
+
+import pytest
+
+from prtbake_storage.contract.jobs import job_request_adapter
+from prtbake_storage.errors import SettingsError
+from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.queue.stages import Results
+from prtbake_workers.jobs import leaving
+from prtbake_workers.jobs.bake_lines import lines_of
+from prtbake_workers.jobs.estimate import predict
+from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.planning.bake_search import WINDOW
+from support.local_stages import registered, run_stage, run_stages
+from support.scenes import GLOSSY, NO_RESOURCE
+
+TARGET = 0.2
+NO_BOUNCES = {"interreflection": "off"}
+
+
+def normal(budget, **changes):
+    """A request as the service stores it."""
+    request = {
+        "kind": "bake",
+        "mesh": f"mesh-{NO_RESOURCE}",
+        "brdf": {"model": "lambert", "albedo": 0.7},
+        "receiver": {"resolution": 8},
+        "budget": budget,
+        **changes,
+    }
+    return job_request_adapter.validate_python(request).model_dump(mode="json")
+
+
+def begun(store, request, name="icosphere", tessellation=2):
+    """What the service and the engine tell of a job that starts now."""
+    return {
+        "mesh": registered(store, "mesh", builtin={"name": name, "tessellation": tessellation}),
+        "brdf": {"spec": request["brdf"]},
+        "materials": {},
+        "artefacts": {},
+        "started": time.time(),
+    }
+
+
+def run(store, request, context):
+    return run_stages(REGISTRY.stages("bake", request, context), store)
+
+
+def finished(store, request, context):
+    results = run(store, request, context)
+    return results, REGISTRY.finish("bake", request, context, results)
+
+
+def figure_of(errors, lines):
+    """The error that is promised, from the errors that every report lists."""
+    return max(
+        sqrt(
+            lines[name]["effects left out"]
+            + errors["plan"][name]
+            + errors["bake"][f"{name} in other directions"]
+            + errors["bake"][f"{name} 16-bit"]
+            + sum(
+                errors.get("bounces", {}).get(f"{name} {line}", 0.0)
+                for line in ("rays", "left out", "16-bit", "scattering")
+            )
+        )
+        for name in lines
+    )
+
+
+@pytest.fixture(scope="module")
+def met(store):
+    request = normal({"max_error": TARGET}, effects=NO_BOUNCES)
+    context = begun(store, request)
+    return request, context, *finished(store, request, context)
+
+
+def test_an_error_is_reached_within_a_tenth_and_not_exceeded(met):
+    *_, done = met
+    search = done.result["search"]
+    assert WINDOW * TARGET <= search["error"] <= TARGET
+    (taken,) = (one for one in search["attempts"] if one["taken"])
+    assert taken["error"] == search["error"]
+    assert taken["bytes"] == done.result["bytes"]["transfer.h5"]
+    assert all(one["why"] and one["seconds"] > 0.0 for one in search["attempts"])
+
+
+def test_it_is_the_root_of_the_sum_of_the_errors_that_the_report_lists(met):
+    *_, done = met
+    search = done.result["search"]
+    assert set(search["lines"]) == {"object", "receiver"}
+    assert search["error"] == pytest.approx(figure_of(done.result["errors"], search["lines"]))
+    part, line = search["part"], search["binds"]
+    assert search["lines"][part][line] == max(search["lines"][part].values())
+
+
+def test_what_is_delivered_is_the_bake_that_was_taken(met, store):
+    *_, done = met
+    files = {file.name: file.digest for file in done.artefacts}
+    assert set(files) == {"transfer.h5", "report.json", "report.html"}
+    with open_transfer(store.local_path(files["transfer.h5"])) as transfer:
+        own = transfer.header.provenance["bake"]
+    (taken,) = (one for one in done.result["search"]["attempts"] if one["taken"])
+    assert taken["name"].startswith(
+        f"{own['n_centres']} centres, 6 x {own['cube_resolution']}^2 directions"
+    )
+    page = store.read_bytes(files["report.html"]).decode()
+    assert "What was tried for the budget" in page
+    assert "account of its transfer" in page
+    assert "tuning views" not in page
+
+
+def test_fewer_directions_would_leave_more_than_was_asked_for(met, store):
+    """The negative twin: a bake of the same centres by a coarser cube map."""
+    _, context, results, _ = met
+    bakes = [results[name][0] for name in results if name.startswith("plan ") and results[name]]
+    own = bakes[-1]["settings"]["bake"]
+    coarser = {"n_centres": own["n_centres"], "cube_resolution": own["cube_resolution"] // 2}
+    plain = normal(None, settings=coarser, effects=NO_BOUNCES)
+    lines = lines_of(run(store, plain, context))
+    assert max(sqrt(sum(one.values())) for one in lines.values()) > TARGET
+
+
+def test_terms_and_bounces_share_an_error(store):
+    request = normal({"max_error": 0.3}, brdf=GLOSSY, receiver={"resolution": 8, "albedo": 0.6})
+    context = begun(store, request, "teapot", 3)
+    _, done = finished(store, request, context)
+    search = done.result["search"]
+    assert WINDOW * 0.3 <= search["error"] <= 0.3
+    assert search["error"] == pytest.approx(figure_of(done.result["errors"], search["lines"]))
+    assert 0.0 < search["lines"]["object"]["terms"] < 0.09
+    if "bounces" in done.result["errors"]:
+        bounced = [one["rays of bounces"] for one in search["lines"].values()]
+        assert 0.0 < max(bounced) < 0.3 * 0.09
+
+
+def test_an_error_out_of_reach_is_refused_with_the_best_and_the_line(store):
+    given = {"n_centres": 42, "cube_resolution": 12}
+    request = normal({"max_error": 0.02}, settings=given, effects=NO_BOUNCES)
+    context = begun(store, request)
+    with pytest.raises(
+        SettingsError, match=r"2\.00% cannot be met: at best (\d+\.\d+)% is predicted"
+    ) as raised:
+        run(store, request, context)
+    assert raised.value.pointer == "/budget/max_error"
+    assert "directions and functions leave" in str(raised.value)
+    # the estimate says so before
+    with pytest.raises(SettingsError, match="cannot be met"):
+        predict(job_request_adapter.validate_python(request), request, context, store)
+    # and the best that it names can be had
+    best = float(str(raised.value).split("at best ")[1].split("%")[0]) / 100.0
+    easier = normal({"max_error": 1.2 * best}, settings=given, effects=NO_BOUNCES)
+    _, done = finished(store, easier, context)
+    assert done.result["search"]["error"] <= 1.2 * best
+    assert done.result["search"]["attempts"][0]["name"] == "42 centres, 6 x 12^2 directions"
+
+
+def test_bytes_are_kept_and_no_more_centres_would_fit(store):
+    fine = {"cube_resolution": 12}
+    plain = normal(None, settings=fine | {"n_centres": 162}, effects=NO_BOUNCES)
+    context = begun(store, plain)
+    size = run(store, plain, context)["join"][0]["bytes"]
+    for share, centres in ((0.9, 42), (1.1, 162)):
+        asked = int(share * size)
+        _, done = finished(
+            store, normal({"max_bytes": asked}, settings=fine, effects=NO_BOUNCES), context
+        )
+        assert done.result["bytes"]["transfer.h5"] <= asked
+        (taken,) = (one for one in done.result["search"]["attempts"] if one["taken"])
+        assert taken["name"] == f"{centres} centres, 6 x 12^2 directions"
+
+
+def test_bytes_that_no_bake_fits_into_are_refused_with_the_least(store):
+    request = normal({"max_bytes": 2000}, effects=NO_BOUNCES)
+    with pytest.raises(SettingsError, match=r"least that is possible .* take \d+") as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/budget/max_bytes"
+
+
+def test_a_second_is_too_short_and_the_error_tells_the_least(store):
+    for more in ({}, {"max_error": 0.3}):
+        given = {"n_centres": 42}
+        request = normal({"max_seconds": 1.0} | more, settings=given, effects=NO_BOUNCES)
+        with pytest.raises(
+            SettingsError, match=r"1 s are too few: .* predicted to take \d+ s"
+        ) as raised:
+            run(store, request, begun(store, request))
+        assert raised.value.pointer == "/budget/max_seconds"
+
+
+SECONDS = 24.0
+
+
+@pytest.fixture(scope="module")
+def timed(store):
+    """So short that no bake takes a fifth of it: the quickest comes first, then a better one."""
+    given = {"n_centres": 42}
+    request = normal({"max_seconds": SECONDS}, settings=given, effects=NO_BOUNCES)
+    context = begun(store, request)
+    results, done = finished(store, request, context)
+    return request, context, results, done, time.time() - context["started"]
+
+
+def test_a_time_is_kept_and_bakes_get_better(timed):
+    *_, done, took = timed
+    assert took < SECONDS
+    attempts = done.result["search"]["attempts"]
+    errors = [one["error"] for one in attempts]
+    assert len(errors) > 1
+    assert errors == sorted(errors, reverse=True)
+    assert [one["taken"] for one in attempts] == [False] * (len(attempts) - 1) + [True]
+
+
+def test_a_bake_that_is_late_leaves_the_one_before(timed, store):
+    request, context, results, *_ = timed
+    stages = {stage.name: stage for stage in REGISTRY.stages("bake", request, context)}
+    late = Results()
+    for name in list(stages)[: list(stages).index("bake 2")]:
+        late.add(name, results[name], results.measured(name))
+    late.add("bake 2", [leaving.LATE], results.measured("bake 1")[:1])
+    for name in list(stages)[list(stages).index("bake 2") + 1 :]:
+        run_stage(stages[name], late, store)
+    done = REGISTRY.finish("bake", request, context, late)
+    first, second = done.result["search"]["attempts"]
+    assert (first["taken"], second["taken"]) == (True, False)
+    assert "time was out" in second["why"]
+    assert done.result["search"]["error"] == first["error"]
+    # and where it was the first, there is nothing to deliver
+    late = Results()
+    for name in list(stages)[: list(stages).index("bake 1")]:
+        late.add(name, results[name], results.measured(name))
+    late.add("bake 1", [leaving.LATE], results.measured("plan 1"))
+    with pytest.raises(SettingsError, match="s were out before a bake") as raised:
+        stages["scattering 1"].tasks(late)
+    assert raised.value.pointer == "/budget/max_seconds"
+
+
+def test_tasks_of_a_timed_bake_leave_in_time(timed):
+    request, context, results, *_ = timed
+    stages = {stage.name: stage for stage in REGISTRY.stages("bake", request, context)}
+    planned = Results()
+    for name in list(stages)[: list(stages).index("bake 1")]:
+        planned.add(name, results[name], results.measured(name))
+    tasks = stages["bake 1"].tasks(planned)
+    assert tasks
+    ends = context["started"] + SECONDS
+    assert all(context["started"] < task.args["when"] < ends for task in tasks)
+
+
+def test_the_estimate_is_of_the_first_bake(met, store):
+    request, context, results, _ = met
+    found = predict(job_request_adapter.validate_python(request), request, context, store)
+    first = results["join 1"][0]["bytes"]
+    assert found.artefact_bytes["transfer.h5"] == pytest.approx(first, rel=0.1)
+    words = found.warnings[0]
+    assert "the first bake for the budget" in words
+    told = float(words.split("leave ")[1].split("%")[0]) / 100.0
+    assert told == pytest.approx(TARGET, rel=0.1)
+    assert found.errors["directions and functions (object)"] > 0.0
+
+
+def test_settings_stand_above_a_quality_in_a_bake_that_runs(store):
+    settings = {"cube_resolution": 8, "n_centres": 42}
+    request = normal(None, quality="draft", settings=settings, effects=NO_BOUNCES)
+    results = run(store, request, begun(store, request))
+    assert results["plan"][0]["settings"]["bake"]["n_centres"] == 42
+    assert results["plan"][0]["settings"]["bake"]["term_energy_lost"] == 0.05
