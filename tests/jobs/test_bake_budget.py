@@ -1,7 +1,8 @@
 """Lone bakes with a budget through the real stages, in this process."""
 
+import copy
 import time
-from math import sqrt
+from math import inf, sqrt
 
 import pytest
 
@@ -10,7 +11,8 @@ from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs import leaving
-from prtbake_workers.jobs.bake_lines import lines_of
+from prtbake_workers.jobs.bake_lines import account_of, lines_of
+from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.planning.bake_search import WINDOW
@@ -127,14 +129,32 @@ def test_fewer_directions_would_leave_more_than_was_asked_for(met, store):
 def test_terms_and_bounces_share_an_error(store):
     request = normal({"max_error": 0.3}, brdf=GLOSSY, receiver={"resolution": 8, "albedo": 0.6})
     context = begun(store, request, "teapot", 3)
-    _, done = finished(store, request, context)
+    results, done = finished(store, request, context)
     search = done.result["search"]
     assert WINDOW * 0.3 <= search["error"] <= 0.3
     assert search["error"] == pytest.approx(figure_of(done.result["errors"], search["lines"]))
     assert 0.0 < search["lines"]["object"]["terms"] < 0.09
-    if "bounces" in done.result["errors"]:
-        bounced = [one["rays of bounces"] for one in search["lines"].values()]
-        assert 0.0 < max(bounced) < 0.3 * 0.09
+    bounced = [one["rays of bounces"] for one in search["lines"].values()]
+    assert 0.0 < max(bounced) < 0.3 * 0.09
+    # the twin that nothing bounds is no bake that keeps an error
+    seen, endless = search_of(request, context).delivered(results), Results()
+    for name in seen:
+        values = copy.deepcopy(seen[name])
+        for block in values if name == "bounces" else ():
+            block["left_out"] = None
+        endless.add(name, values, seen.measured(name))
+    lines = lines_of(endless)
+    assert lines["object"]["later bounces"] == inf
+    assert account_of(lines)["error"] is None
+    assert account_of(lines)["binds"] == "later bounces"
+
+
+def test_terms_that_no_number_of_them_mends_are_refused_and_named(store):
+    sharp = {"model": "ggx", "alpha": 0.1}
+    request = normal({"max_error": 0.1}, brdf=sharp, receiver=None)
+    with pytest.raises(SettingsError, match=r"\d+ terms, .* leave 4\d\.\d\d%") as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/budget/max_error"
 
 
 def test_an_error_out_of_reach_is_refused_with_the_best_and_the_line(store):

@@ -10,13 +10,14 @@ from typing import Any
 from prtbake_storage.blobs.base import BlobStore
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_storage.contract.settings import BakeSettings
+from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
 from prtbake_workers.jobs.plan import CPU_SECONDS, MEMORY_BYTES, arguments, plan_scene
 from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
 from prtbake_workers.planning.bake_model import effects_left_out, sized
-from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE
+from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.ladder_steps import terms_at
 from prtbake_workers.planning.light_resolution import (
     Candidate,
@@ -111,6 +112,7 @@ def tried(args: dict[str, Any], store: BlobStore) -> dict[str, Any]:
         "fixed_bytes": 0,
         **_bounces(plan),
     }
+    _check_terms(found, budget.max_error)
     known = plan.artefact_bytes["transfer.h5"]
     found["fixed_bytes"] = known - sized(found, bake.n_coeffs, found["own"]["terms"])
     found["candidates"] = [
@@ -122,6 +124,27 @@ def tried(args: dict[str, Any], store: BlobStore) -> dict[str, Any]:
         for one in _candidates(planned, found, args["plan"]["seed"], given, budget, args)
     ]
     return found
+
+
+def _check_terms(found: Mapping[str, Any], asked: float | None) -> None:
+    """Refuse an error that terms alone exceed: no projection mends what they leave.
+
+    Raises
+    ------
+    SettingsError
+        Telling what the most terms leave, and of which part.
+    """
+    best = min(found["options"], key=lambda option: max(option["lost"]))
+    left = max(best["lost"])
+    if asked is None or left <= (NEARLY * asked) ** 2:
+        return
+    part = best["lost"].index(left)
+    raise SettingsError(
+        f"an error of {asked:.2%} cannot be met: {best['terms'][part]} terms, the most that are "
+        f"chosen, leave {sqrt(left):.2%} of the BRDF of {found['parts'][part]['name']} whatever "
+        "directions and functions there are; a smoother BRDF would lower it",
+        pointer="/budget/max_error",
+    )
 
 
 def _bounces(plan: Plan) -> dict[str, Any]:
