@@ -12,6 +12,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs import leaving
 from prtbake_workers.jobs.bake_lines import account_of, lines_of
+from prtbake_workers.jobs.bake_trial import trial_flops
 from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
@@ -209,6 +210,22 @@ def test_a_second_is_too_short_and_the_error_tells_the_least(store):
         ) as raised:
             run(store, request, begun(store, request))
         assert raised.value.pointer == "/budget/max_seconds"
+
+
+def test_what_takes_long_to_try_is_not_tried_for_a_short_time(store):
+    """A trial takes no more of the time than a share."""
+    most = {}
+    for seconds in (2.0, 15.0, None):
+        budget = {"max_bytes": 10**9} if seconds is None else {"max_seconds": seconds}
+        request = normal(budget, settings={"cube_resolution": 18}, effects=NO_BOUNCES)
+        context = begun(store, request)
+        trial = search_of(request, context).stages()[0]
+        results = Results()
+        run_stage(trial, results, store)
+        most[seconds] = max(one["n_centres"] for one in results["trial"][0]["candidates"])
+    assert most[2.0] < most[15.0] <= most[None] == 642
+    flops = trial_flops(642, (18,), 384)
+    assert flops == 2 * 642 * sum(n * 642 + 384 * (n + 642 + 1536) for n in (1944, 13824))
 
 
 SECONDS = 24.0

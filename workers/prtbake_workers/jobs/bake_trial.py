@@ -20,6 +20,9 @@ from prtbake_workers.planning.bake_model import effects_left_out, sized
 from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.ladder_steps import terms_at
 from prtbake_workers.planning.light_resolution import (
+    HELD_OUT_RESOLUTION,
+    RESOLUTIONS,
+    VERTICES,
     Candidate,
     candidates,
     try_light_resolutions,
@@ -28,6 +31,7 @@ from prtbake_workers.planning.plan import DIRECTIONS_A_FUNCTION
 from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import PlannedBake, StageSettings
 from prtbake_workers.planning.rates import Rates
+from prtbake_workers.planning.sampled_transfer import MIXTURES
 
 _MODULE = "prtbake_workers.jobs.bake_trial"
 
@@ -42,6 +46,9 @@ SMALLEST = {"n_centres": 12, "cube_resolution": 8}
 
 ENOUGH = 0.7
 """Of the squared error that is aimed at: centres that leave less are enough."""
+
+TRIAL_SHARE = 0.1
+"""Of the seconds that are asked for: centres that take longer to try are out of reach."""
 
 LEAST_LEFT = 1e-5
 """Of transport, that is enough where no error is asked for."""
@@ -213,6 +220,7 @@ def _candidates(
     fewest = [min(terms) for terms in zip(*(o["terms"] for o in found["options"]), strict=True)]
     enough = LEAST_LEFT if budget.max_error is None else ENOUGH * (AIM * budget.max_error) ** 2
     rates = Rates.from_dict(args.get("rates"))
+    n_functions = VERTICES * min(MIXTURES, max(found["own"]["terms"]))
 
     def worth_trying(n_centres: int, before: Sequence[Candidate]) -> bool:
         if not before:
@@ -223,10 +231,9 @@ def _candidates(
             return False
         if budget.max_seconds is None:
             return True
-        dirs = 6 * coarsest(n_centres) ** 2
-        work = {"solve_flops": 4.0 * dirs * n_centres**2 + 10.0 * n_centres**3}
-        # solving for the basis alone tells whether a bake of so many centres is out of reach
-        return rates.stage_seconds("plan", work) < budget.max_seconds
+        flops = trial_flops(n_centres, resolutions[n_centres], n_functions)
+        seconds = rates.stage_seconds("plan", {"trial_flops": flops})
+        return seconds <= TRIAL_SHARE * budget.max_seconds
 
     return try_light_resolutions(
         planned.scene,
@@ -236,6 +243,15 @@ def _candidates(
         resolutions=resolutions,
         worth_trying=worth_trying,
         seed=seed + 6,
+    )
+
+
+def trial_flops(n_centres: int, resolutions: Sequence[int], n_functions: int) -> float:
+    """Count what trying a number of centres multiplies, at its resolutions and the finest."""
+    cubes = [6 * fine**2 for fine in {RESOLUTIONS[-1], *resolutions}]
+    held_out = 6 * HELD_OUT_RESOLUTION**2
+    return sum(
+        2.0 * n_centres * (n * n_centres + n_functions * (n + n_centres + held_out)) for n in cubes
     )
 
 

@@ -189,7 +189,8 @@ class BakeModel:
         at = self.row(told.numbers)
         before = told.numbers.bounce_tolerance
         scale = tolerance / before if before > 0.0 else 1.0
-        seconds = _off_by(told.seconds or 0.0, float(self._seconds[at]))
+        # starting processes and multiplying may be off by different factors: none is counted on
+        seconds = max(1.0, float(_off_by(told.seconds or 0.0, float(self._seconds[at]))))
         return Foreseen(
             self._projection * _off_by(np.array(told.projection), self._projection[at]),
             self._terms * _off_by(np.array(told.terms), self._terms[at]),

@@ -197,7 +197,7 @@ def _least(values: Float64[F64, " rows"], among: Bool[B8, " rows"]) -> int | Non
 
 LINES = {
     "projection": "what directions and functions leave: more than {centres} centres and 6 x "
-    "{fine}^2 directions are not tried",
+    "{fine}^2 directions are not tried{why}",
     "terms": "what the BRDF's terms leave: more of them, or a smoother BRDF, would lower it",
     "rest": "what light between surfaces and inside them leaves, or effects that are left out",
 }
@@ -221,7 +221,7 @@ def _refusal(
     if budget.max_error is not None:
         within = errors <= budget.max_error**2
         if not within.any() or (len(told) == MOST_BAKES and budget.max_bytes is None):
-            return "max_error", _error_refused(model, budget.max_error, told, seen)
+            return "max_error", _error_refused(model, budget, told, seen)
     if budget.max_bytes is not None and not (within & _in_size(budget, seen)).any():
         least = int(np.where(within, seen.sizes, np.inf).min())
         asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
@@ -243,7 +243,10 @@ def _refusal(
     return "max_bytes", f"max_bytes is {budget.max_bytes}: the bakes that were made take {sizes}"
 
 
-def _error_refused(model: BakeModel, max_error: float, told: Sequence[Told], seen: Foreseen) -> str:
+def _error_refused(
+    model: BakeModel, budget: BakeBudget, told: Sequence[Told], seen: Foreseen
+) -> str:
+    max_error, seconds = budget.max_error or 0.0, budget.max_seconds
     row = int(seen.errors.argmin())
     (part, line), best = seen.worst(row), float(np.sqrt(seen.errors[row]))
     how = "is predicted to be left"
@@ -257,7 +260,8 @@ def _error_refused(model: BakeModel, max_error: float, told: Sequence[Told], see
             "more bounce_rays or a finer mesh would lower it"
         )
     centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
-    words = LINES[line].format(centres=centres, fine=fine)
+    why = "" if seconds is None else f" in {seconds:g} s"
+    words = LINES[line].format(centres=centres, fine=fine, why=why)
     whose = f" of {model.names[part]}" if len(model.names) > 1 else ""
     return (
         f"an error of {max_error:.2%} cannot be met: at best {best:.2%} {how}{whose}, and the "
