@@ -24,6 +24,10 @@ from prtbake_storage.testing.postgres import (
     fresh_database,
     postgres_server,
 )
+from support.shape_checks import begin_test, check_first_calls
+
+# before any module of the workers is imported
+check_first_calls()
 
 DATA_VARIABLE = "PRTBAKE_DATA"
 POSTGRES_VARIABLE = "PRTBAKE_REQUIRE_POSTGRES"
@@ -59,6 +63,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=out)
         gone = set(out)
         items[:] = [item for item in items if item not in gone]
+
+
+def pytest_runtest_setup() -> None:
+    """Every test checks shapes anew."""
+    begin_test()
 
 
 def pytest_report_header() -> list[str]:
