@@ -6,13 +6,15 @@ data, over as many threads as BLAS would have used: faster on small products, no
 ones, and the same bytes on any machine of one kind.
 """
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from typing import TypeVar
 
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,7 +23,7 @@ _THREADS: ContextVar[int] = ContextVar("threads", default=1)
 
 def blas_threads() -> int:
     """Return how many threads the BLAS library is allowed."""
-    pools = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+    pools = [pool["num_threads"] for pool in _pools().info() if pool["user_api"] == "blas"]
     return max(pools, default=1)
 
 
@@ -30,7 +32,7 @@ def same_bytes_on_any_threads() -> Iterator[None]:
     """Keep BLAS on one thread, and let `map_in_order` use those that it had."""
     token = _THREADS.set(max(blas_threads(), _THREADS.get()))
     try:
-        with threadpool_limits(limits=1, user_api="blas"):
+        with _pools().limit(limits=1, user_api="blas"):
             yield
     finally:
         _THREADS.reset(token)
@@ -44,3 +46,14 @@ def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> list[
         return [work(item) for item in items]
     with ThreadPoolExecutor(n_threads) as pool:
         return list(pool.map(work, items))
+
+
+def _pools() -> ThreadpoolController:
+    """Find the libraries that have threads: anew only when there may be more of them."""
+    return _pools_beside(len(sys.modules))
+
+
+@lru_cache(maxsize=1)
+def _pools_beside(_n_modules: int) -> ThreadpoolController:
+    # looking through all loaded libraries takes milliseconds, more than many a small fit
+    return ThreadpoolController()
