@@ -51,6 +51,12 @@ def pot():
 
 
 @pytest.fixture
+def few_vertices(monkeypatch):
+    """No more than 48 of a part, where a choice is held against another and not against a bake."""
+    monkeypatch.setattr(light_resolution, "MOST_OF_A_PART", 48)
+
+
+@pytest.fixture
 def few_centres(monkeypatch):
     """No more than 162 centres, so that a tolerance is out of reach soon."""
     monkeypatch.setattr(light_resolution, "CENTRES", CENTRES[:3])
@@ -62,7 +68,8 @@ _chosen = {}
 def chosen(scene, factorisations, accelerator=None, *, seed=1, anew=False, **settings):
     """What is chosen: several tests ask for the same, whose objects live as long as this module."""
     asked = tuple(sorted(settings.items()))
-    same = *map(id, (scene, accelerator, *factorisations)), seed, asked, light_resolution.CENTRES
+    limits = light_resolution.CENTRES, light_resolution.MOST_OF_A_PART
+    same = *map(id, (scene, accelerator, *factorisations)), seed, asked, limits
     if same not in _chosen or anew:
         n_parts = len(scene.part_ranges)
         found = choose_light_resolution(
@@ -99,7 +106,7 @@ def baked_error(scene, accelerator, part, factorisation, n_centres, resolution, 
     return residual / signal
 
 
-def test_a_lone_diffuse_ball_takes_the_least_and_a_glossy_one_more():
+def test_a_lone_diffuse_ball_takes_the_least_and_a_glossy_one_more(few_vertices):
     smooth = chosen(BALL, [DIFFUSE])
     assert numbers(smooth) == (12, 8)
     assert smooth.notes == ()
@@ -115,7 +122,7 @@ def test_a_lone_diffuse_ball_takes_the_least_and_a_glossy_one_more():
     )
 
 
-def test_shadows_take_more_than_the_same_surface_in_the_open(pot):
+def test_shadows_take_more_than_the_same_surface_in_the_open(pot, few_vertices):
     scene, accelerator = pot
     shaded = chosen(scene, [DIFFUSE, DIFFUSE], accelerator, projection_tolerance=0.05)
     bare = chosen(scene, [DIFFUSE, DIFFUSE], projection_tolerance=0.05)
@@ -189,7 +196,7 @@ def test_what_was_left_for_less_would_have_missed_the_tolerance(pot):
     }
 
 
-def test_a_tighter_tolerance_never_takes_less(pot, few_centres):
+def test_a_tighter_tolerance_never_takes_less(pot, few_centres, few_vertices):
     scene, accelerator = pot
     everything = chosen(scene, [DIFFUSE, DIFFUSE], accelerator, projection_tolerance=1e-3)
     tried = [
@@ -213,7 +220,7 @@ def test_a_tighter_tolerance_never_takes_less(pot, few_centres):
     assert early.decision.evidence["predicted_error"] == late.error
 
 
-def test_a_tolerance_out_of_reach_takes_the_best_and_says_so(pot, few_centres):
+def test_a_tolerance_out_of_reach_takes_the_best_and_says_so(pot, few_centres, few_vertices):
     scene, accelerator = pot
     found = chosen(scene, [DIFFUSE, DIFFUSE], accelerator, projection_tolerance=1e-3)
     evidence = found.decision.evidence
@@ -229,7 +236,7 @@ def test_a_tolerance_out_of_reach_takes_the_best_and_says_so(pot, few_centres):
     assert chosen(scene, [DIFFUSE, DIFFUSE], accelerator, projection_tolerance=0.1).notes == ()
 
 
-def test_the_worst_part_decides(pot):
+def test_the_worst_part_decides(pot, few_vertices):
     """The object asks for more than the plane does; black, it asks for nothing."""
     scene, accelerator = pot
     both = chosen(scene, [DIFFUSE, DIFFUSE], accelerator, projection_tolerance=0.05)
@@ -242,7 +249,7 @@ def test_the_worst_part_decides(pot):
     assert nothing.decision.evidence["predicted_error"] == 0.0
 
 
-def test_no_light_is_not_worth_a_centre():
+def test_no_light_is_not_worth_a_centre(few_vertices):
     """A ball inside another: nothing is lost of the nothing that it receives."""
     around = sphere_mesh(2, radius=5.0)
     middle = BALL.positions.mean(axis=0) - around.positions.mean(axis=0)
@@ -298,7 +305,7 @@ def test_what_no_further_candidate_asks_for_is_freed():
     assert held == [RESOLUTIONS, RESOLUTIONS[1:], (24, 32, 48), (48,)]
 
 
-def test_numbers_that_are_given_stay(few_centres):
+def test_numbers_that_are_given_stay(few_centres, few_vertices):
     fine = {"projection_tolerance": 1e-4}
     assert chosen(BALL, [GLOSSY], n_centres=42, **fine).bake.n_centres == 42
     assert numbers(chosen(BALL, [GLOSSY], cube_resolution=20, **fine)) == (162, 20)
@@ -306,7 +313,7 @@ def test_numbers_that_are_given_stay(few_centres):
     assert (kept.supersample, kept.bounce_rays) == (3, 7)
 
 
-def test_the_same_seed_finds_the_same_bytes(few_centres):
+def test_the_same_seed_finds_the_same_bytes(few_centres, few_vertices):
     one, other = (chosen(BALL, [GLOSSY], anew=True) for _ in range(2))
     assert one == other
     assert chosen(BALL, [GLOSSY], seed=2).decision != one.decision
