@@ -1,6 +1,7 @@
 """The few ways in which prtbake writes a dataset, and reads one from a file it does not trust."""
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -177,22 +178,26 @@ def child(parent: h5py.Group, name: str) -> h5py.Group:
 
 def dataset(parent: h5py.Group, name: str, kinds: str, axes: int) -> h5py.Dataset:
     """Return a dataset after checking type, axes, filters and honesty of its claimed size."""
-    path = _path(parent, name)
-    found = _member(parent, name)
+    return _checked(_member(parent, name), _path(parent, name), kinds, axes)
+
+
+def _checked(found: Any, path: str, kinds: str, axes: int | None) -> h5py.Dataset:
     if not isinstance(found, h5py.Dataset):
         raise CorruptArtefact(f"{path} is not a dataset")
-    if found.dtype.kind not in kinds or found.dtype.hasobject or found.dtype.names:
-        raise CorruptArtefact(f"{path} holds {found.dtype}, not one of {kinds!r}")
-    if found.shape is None or found.ndim != axes:
-        raise CorruptArtefact(f"{path} has shape {found.shape}, not {axes} axes")
-    if found.is_virtual or found.external or found.chunks is None:
+    # each of these asks the library anew
+    dtype, shape, plist = found.dtype, found.shape, found.id.get_create_plist()
+    if dtype.kind not in kinds or dtype.hasobject or dtype.names:
+        raise CorruptArtefact(f"{path} holds {dtype}, not one of {kinds!r}")
+    if shape is None or axes not in (None, len(shape)):
+        raise CorruptArtefact(f"{path} has shape {shape}, not {axes} axes")
+    if plist.get_layout() != h5py.h5d.CHUNKED:
         raise CorruptArtefact(f"{path} is not stored as chunks of this file")
-    plist = found.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
     if not filters <= schema.ALLOWED_FILTERS:
         raise CorruptArtefact(f"{path} uses unknown filters {sorted(filters)}")
-    if found.nbytes > schema.MAX_DEFLATE_RATIO * found.id.get_storage_size() + 4096:
-        raise CorruptArtefact(f"{path} claims {found.nbytes} bytes that were never written")
+    n_bytes = math.prod(shape) * dtype.itemsize
+    if n_bytes > schema.MAX_DEFLATE_RATIO * found.id.get_storage_size() + 4096:
+        raise CorruptArtefact(f"{path} claims {n_bytes} bytes that were never written")
     return found
 
 
@@ -247,8 +252,7 @@ def get_object(parent: h5py.Group, name: str) -> Mapping[str, Any]:
 
 def get_any(parent: h5py.Group, name: str, kinds: str) -> NDArray[Any]:
     """Read an array of any shape."""
-    found = _member(parent, name)
-    return read(dataset(parent, name, kinds, getattr(found, "ndim", 0)))
+    return read(_checked(_member(parent, name), _path(parent, name), kinds, None))
 
 
 def names(parent: h5py.Group) -> list[str]:
@@ -267,10 +271,10 @@ def has(parent: h5py.Group, name: str) -> bool:
 def _member(parent: h5py.Group, name: str) -> Any:
     path = _path(parent, name)
     try:
-        link = parent.get(name, getlink=True)
-        if link is None:
+        links, key = parent.id.links, name.encode("utf-8")
+        if not links.exists(key):
             raise CorruptArtefact(f"{path} is missing")
-        if type(link) is not h5py.HardLink:
+        if links.get_info(key).type != h5py.h5l.TYPE_HARD:
             raise CorruptArtefact(f"{path} is a link, not data of this file")
         return parent[name]
     except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
