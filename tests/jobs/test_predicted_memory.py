@@ -10,7 +10,7 @@ from support.local_stages import run_stage
 from support.scenes import asset_request, context_of, teapot_context
 from support.task_child import run_child
 
-BAKE = {"cube_resolution": 32, "n_centres": 642, "n_terms": 16, "tile_vertices": 256}
+BAKE = {"cube_resolution": 24, "n_centres": 642, "n_terms": 16, "tile_vertices": 256}
 
 
 def test_planning_and_a_tile_hold_what_is_predicted(store):
@@ -62,7 +62,7 @@ def test_planning_that_chooses_holds_what_is_predicted(store):
 
 def test_scattering_and_bounces_hold_what_is_predicted(store):
     """A ball of marble on a plane, with fine clusters: rows and transfer are most of it."""
-    bake = {"cube_resolution": 12, "n_centres": 642, "bounce_rays": 32, "max_bounces": 1}
+    bake = {"cube_resolution": 6, "n_centres": 642, "bounce_rays": 32, "max_bounces": 1}
     request = asset_request(
         brdf={"model": "lambert", "albedo": 0.9},
         subsurface={"medium": "marble", "mm_per_unit": 2.0},

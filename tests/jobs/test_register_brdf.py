@@ -7,6 +7,7 @@ import pytest
 
 from prtbake_storage.contract.brdf import CookTorranceSpec
 from prtbake_storage.errors import BrdfError
+from prtbake_workers.brdf import checks
 from prtbake_workers.brdf.base import is_isotropic
 from prtbake_workers.brdf.checks import check_energy
 from prtbake_workers.brdf.distance import brdf_distance
@@ -85,7 +86,13 @@ def test_a_network_is_made_symmetric_and_what_it_was_is_told(store):
     assert 0.0 < found["as_given"]["asymmetry"] < 1.0
 
 
-def test_a_tensor_file_becomes_a_measured_brdf(store):
+@pytest.fixture
+def coarse_albedo(monkeypatch):
+    """A quadrature whose figures are not read here: tests/brdf/test_checks.py has the fine one."""
+    monkeypatch.setattr(checks, "NODES_A_PANEL", 2)
+
+
+def test_a_tensor_file_becomes_a_measured_brdf(store, coarse_albedo):
     ggx = Ggx(np.zeros(3), np.ones(3), 0.5, np.array([0.9, 0.5, 0.2]))
     fields = ggx_fields(ggx, 0.5, n_lights=6, n=16, n_normals=48, n_rows=12)
     found = add(store, tensor_bytes(fields), filename="ggx_rgb.bsdf")
@@ -117,7 +124,7 @@ COARSE = {"n_lights": 4, "n": 10, "n_normals": 24, "n_rows": 25}
 
 @pytest.mark.parametrize(("reduction", "n_azimuths"), [(4, 5), (2, 9)])
 def test_an_anisotropic_tensor_file_becomes_an_anisotropic_brdf(
-    store, reduction, n_azimuths, monkeypatch
+    store, reduction, n_azimuths, monkeypatch, coarse_albedo
 ):
     monkeypatch.setattr(register_brdf, "N_ANGLES_ORIENTED", 1)
     fields = oriented_fields(

@@ -1,5 +1,7 @@
 """A transfer file of a glossy part and a diffuse one, made up rather than baked."""
 
+import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,19 @@ def in_channels(transfer: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def write_transfer(folder: Path, *, n_channels: int, n_terms: int = 7) -> Path:
     """Write ``transfer.h5``: part ``object`` of so many terms or a few less, ``receiver`` of one."""
+    path = folder / "transfer.h5"
+    path.write_bytes(_transfer(n_channels, n_terms))
+    return path
+
+
+@cache
+def _transfer(n_channels: int, n_terms: int) -> bytes:
+    """What the file holds: made once, for the many tests that begin with it."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _written(Path(folder), n_channels, n_terms).read_bytes()
+
+
+def _written(folder: Path, n_channels: int, n_terms: int) -> Path:
     rng = np.random.default_rng(11)
     brdfs = [CookTorranceSpec(m=0.5), LambertSpec(albedo=0.7)]
     parts, tiles, start = [], [], 0
