@@ -24,10 +24,10 @@ from prtbake_storage.testing.postgres import (
     fresh_database,
     postgres_server,
 )
-from support.shape_checks import begin_test, check_first_calls
+from support.shape_checks import begin_test, check_rarely
 
 # before any module of the workers is imported
-check_first_calls()
+check_rarely()
 
 DATA_VARIABLE = "PRTBAKE_DATA"
 POSTGRES_VARIABLE = "PRTBAKE_REQUIRE_POSTGRES"

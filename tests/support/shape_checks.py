@@ -1,10 +1,10 @@
-"""Shapes and types are checked in the first calls of every function in every test.
+"""Shapes and types are checked in the first calls of every function in every test, then rarely.
 
 ``--jaxtyping-packages`` has jaxtyping decorate all functions of a package, and check their
 arguments and results in every call.  A wrong shape is wrong in the first call as in the thousandth,
-and checks of thousands of calls took a quarter of the time of all tests.  `check_first_calls`
-therefore lets a test's further calls of a function pass unchecked, and makes the checks of a
-function when it is first called: most of those that a test file imports never are.
+and checks of thousands of calls took a quarter of the time of all tests.  `check_rarely` therefore
+has a test's calls 1, 2, 3, 5, 9, 17 ... of a function checked, and makes the checks of a function
+when it is first called: most of those that a test file imports never are.
 """
 
 import dataclasses
@@ -16,24 +16,21 @@ from typing import Any
 
 import jaxtyping
 
-CALLS = 16
-"""Calls of a function that a test checks: more than the sizes of one test are of kinds."""
-
 _seen: Counter[CodeType] = Counter()
 
 
-def check_first_calls() -> None:
-    """Have jaxtyping's import hook decorate what is imported from now on with `first_calls`."""
-    jaxtyping.jaxtyped = functools.partial(first_calls, jaxtyping.jaxtyped)
+def check_rarely() -> None:
+    """Have jaxtyping's import hook decorate what is imported from now on with `some_calls`."""
+    jaxtyping.jaxtyped = functools.partial(some_calls, jaxtyping.jaxtyped)
 
 
 def begin_test() -> None:
-    """All checks are on again."""
+    """Count calls anew."""
     _seen.clear()
 
 
-def first_calls(jaxtyped: Callable[..., Any], *, typechecker: Any) -> Callable[[Any], Any]:
-    """A decorator of functions and data classes: ``jaxtyped`` in their first `CALLS` calls."""
+def some_calls(jaxtyped: Callable[..., Any], *, typechecker: Any) -> Callable[[Any], Any]:
+    """A decorator of functions and data classes: ``jaxtyped`` in some of their calls."""
 
     def decorate(decorated: Any) -> Any:
         if not isinstance(decorated, type):
@@ -53,9 +50,10 @@ def _checked(function: Callable[..., Any], jaxtyped: Callable[..., Any]) -> Call
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked
-        if _seen[code] >= CALLS:
+        before = _seen[code]
+        _seen[code] = before + 1
+        if before & (before - 1):  # neither 0 nor a power of two
             return function(*args, **kwargs)
-        _seen[code] += 1
         if checked is None:
             checked = jaxtyped(function)
         return checked(*args, **kwargs)
