@@ -23,7 +23,7 @@ from support.scenes import (
 ALONG = {"model": "ward", "kd": 0.2, "ks": 0.7, "alpha_x": 0.2, "alpha_y": 0.5}
 ACROSS = ALONG | {"alpha_x": 0.5, "alpha_y": 0.2}
 SKY = {"builtin": {"name": "sun_sky", "width": 64}}
-SETTINGS = ValidateSettings(width=48, height=36, passes=2, samples=48)
+SETTINGS = ValidateSettings(width=32, height=24, passes=2, samples=48)
 TERMS = 24
 
 
@@ -126,7 +126,7 @@ def test_a_whole_job_of_a_brushed_ball_and_plane(store):
     request = request_of(ALONG, tangents=[0.0, 0.0, 1.0])
     request["receiver"] = {"resolution": 6, "brdf": ACROSS}
     request["settings"]["validation"] |= {
-        "passes": 2, "samples": 32, "cameras": [{"name": "front"}],
+        "width": 40, "height": 30, "passes": 2, "samples": 32, "cameras": [{"name": "front"}],
     }  # fmt: skip
     mesh = {"builtin": {"name": "icosphere", "tessellation": 2}}
     context = context_of(store, request, mesh, SKY)
