@@ -14,6 +14,11 @@ from prtbake_workers.jobs import register
 SHARED = "prtbake_workers.jobs.fit_light:fit"
 """Jobs of one store and sky have this task in common: what it left is taken up, not made anew."""
 
+PARSED = frozenset(
+    f"prtbake_workers.jobs.register:parse_{kind}" for kind in ("mesh", "environment")
+)
+"""Most scenes of tests are of the same few meshes and skies."""
+
 _left: dict[tuple[str, str, str], tuple[Any, float]] = {}
 
 
@@ -75,4 +80,4 @@ def _run(
 def registered(store: BlobStore, kind: str, **registration: Any) -> dict[str, Any]:
     """Register a resource; returns what was understood and its canonical digest."""
     request = {"resource_kind": kind, "registration": registration}
-    return run_stages(register.stages(request, {}), store)["parse"][0]
+    return run_stages(register.stages(request, {}), store, shared=PARSED)["parse"][0]
