@@ -50,15 +50,15 @@ NAMES = (
 TARGETS = {
     "icosphere-plane": (0.15, 0.1, 0.07, 0.057, 0.05),
     "teapot": (0.18, 0.14, 0.12, 0.105, 0.095),
-    "bunny-grey": (0.15, 0.1, 0.07, 0.05, 0.037),
+    "bunny-grey": (0.15, 0.12, 0.1, 0.085, 0.07),
     "bunny-plane": (0.18, 0.14, 0.115, 0.095, 0.08),
     "suzanne-box": (0.25, 0.2, 0.17, 0.15, 0.135),
     "spot": (0.2, 0.14, 0.1, 0.085, 0.073),
     "fandisk": (0.3, 0.25, 0.21, 0.185, 0.165),
     "shaderball": (0.25, 0.2, 0.165, 0.14, 0.12),
 }
-"""Relative.  The last is 1.07 times what can be asked of icosphere-plane and bunny-grey, which takes
-the finest step of the ladder, and 1.35 times that of the others, as a refusal of 0.1 % told it."""
+"""Relative.  Those of icosphere-plane and bunny-grey go down to what takes the finest step of the
+ladder, the others to 1.35 times what a refusal of 0.1 % told could be asked for."""
 
 TIMES = dict.fromkeys(NAMES, (30.0, 120.0)) | dict.fromkeys(NAMES[:4], (30.0, 60.0, 120.0))
 QUICK_TARGETS = (0.18,)
@@ -91,8 +91,8 @@ Each scene, under the built-in sky with its sun, is asked for as an `asset` job 
 tasks run in one process, one after the other. *Error* is that of the delivered file against the reference at {len(HELD_OUT)}
 cameras under {len(TURNS)} turns of the light each, which neither the search nor the job's own validation looked at, pooled
 over all of them; *share* is that over what was asked for. What a scene is asked for starts above the least that can be, as
-the refusal of 0.1 % told: 1.07 times that of icosphere-plane and bunny-grey, which takes the finest step of the ladder,
-and 1.35 times that of the others. The least share that a search aims at
+a refusal of 0.1 % told: just above it for icosphere-plane and bunny-grey, which takes the finest step of the ladder, and
+1.35 times that of the others. The least share that a search aims at
 was set by four jobs (icosphere-plane at 15 %, spot at 20, 14 and 10 %) at other held-out views. Where a target cannot be met the job says so, and what can be asked for. *Seconds* of an error are those of the
 job's tasks, one after the other; bakes that jobs of one scene have in common ran once, and count for each. Those of a
 time are by the clock."""

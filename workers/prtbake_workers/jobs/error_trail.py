@@ -364,12 +364,15 @@ class ErrorDecisions:
         """
         share = trail.aim / self.target
         remedy = REMEDIES.get(line)
+        # a finer step was not tried where it is predicted to be of no use
+        measured = best >= min(one.error for one in trail.transfers)
+        verb, sure = ("is left", "can be") if measured else ("is predicted to be left", "may be")
         raise SettingsError(
-            f"an error of {self.target:.2%} cannot be met: at best {best:.2%} is left at the "
+            f"an error of {self.target:.2%} cannot be met: at best {best:.2%} {verb} at the "
             f"tuning views, where {trail.aim:.2%} is aimed at so that other views stay below; the "
             f"largest part of it is {line or 'light'}"
             f"{f', which {remedy} would lower' if remedy else ''}. "
-            f"{1.05 * best / share:.2%} can be asked for",
+            f"{1.05 * best / share:.2%} {sure} asked for",
             pointer="/budget/max_error",
         )
 

@@ -31,8 +31,8 @@ views showed; the half of the noise that counts is only part of that.
 """
 
 EASY = 0.85
-"""Of the aim, that stored transfer may leave for there to be room for light and compression: half of
-the aim then is theirs, and the step above may cost ten times as much."""
+"""Of the aim, that stored transfer may leave for there to be room for light and compression: half
+of the aim then is theirs, and the step above may cost ten times as much."""
 
 HARD = 0.97
 """The same where no step of the ladder leaves room: compression then is next to exact."""
