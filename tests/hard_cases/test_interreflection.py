@@ -3,15 +3,19 @@
 import numpy as np
 import pytest
 
+from prtbake_workers.brdf.cook_torrance import CookTorrance
+from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.environment.procedural import constant
 from prtbake_workers.geometry.loading import load_mesh
 from prtbake_workers.geometry.mesh import Mesh
 from prtbake_workers.geometry.ray_offset import ray_epsilon
 from prtbake_workers.geometry.scene import Scene
+from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.transport import surface
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.bounce_operator import build_bounce_block
+from prtbake_workers.transport.bounces import GROWN, bounce_block
 from prtbake_workers.transport.interreflection import bounce_series
 from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
@@ -293,3 +297,35 @@ def test_a_closed_white_room_lit_through_a_pinhole_says_that_it_has_no_good_boun
     assert report.remainder is None
     assert not report.converged
     assert any("no bound" in message for message in report.messages)
+
+
+def glossy_teapot(n_rays):
+    """A glossy teapot of few vertices: nine tenths of the light goes into a lobe."""
+    scene = Scene.from_parts([teapot(3)])
+    brdf = factorise(
+        CookTorrance(np.array([0.1]), np.array([0.9]), 0.3, np.array([0.5])), n_terms=6
+    )
+    direct = np.random.default_rng(7).random((scene.n_vertices, brdf.n_terms, 4), np.float32)
+    return bounce_block(
+        opaque(scene), [direct], factorisations=[brdf], albedo=Albedo.constant(1.0), n_channels=1,
+        n_rays=[n_rays], seed=3, max_bounces=40, tolerance=1e-9, rounds=[0],
+    )  # fmt: skip
+
+
+def test_bounces_that_grow_by_the_noise_of_few_rays_are_stopped(monkeypatch):
+    found = glossy_teapot(4)
+    energies = found.bounce_energies[:, 0]
+    assert found.grows
+    assert found.remainder_energy is None
+    assert len(energies) < 40
+    assert energies[-1] > GROWN * energies.min()
+    assert energies[:-1].max() == energies[0]
+    # left to themselves they do not stop
+    monkeypatch.setattr("prtbake_workers.transport.bounces.GROWN", np.inf)
+    endless = glossy_teapot(4).bounce_energies[:, 0]
+    assert len(endless) == 40
+    assert endless[-1] > 4.0 * endless.min()
+    enough = glossy_teapot(64)
+    assert not enough.grows
+    assert enough.remainder_energy is not None
+    assert len(enough.bounce_energies) < 40

@@ -6,6 +6,7 @@ import pytest
 from prtbake_storage.blobs.opening import open_store
 from prtbake_storage.hdf5.bounces import read_transfer_tile
 from prtbake_storage.hdf5.transfer import open_transfer
+from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs import bounce
 from prtbake_workers.jobs.report import gather
 from prtbake_workers.jobs.scene_file import read_scene
@@ -144,6 +145,21 @@ def test_rays_that_leave_more_than_the_tolerance_are_noted(coloured):
     worst = max(noise[f"{part['name']} rays"] for part in coloured["plan"][0]["plan"]["parts"])
     assert any(note.startswith("object:") for note in said(0.1 * worst))
     assert not said(1.01 * worst)
+
+
+def test_bounces_that_grew_are_noted_and_nothing_else_is_said_of_their_end(coloured):
+    plan = coloured["plan"][0]["plan"]
+    grown = [block | {"grows": True, "left_out": None} for block in coloured["bounces"]]
+    results = Results()
+    results.add("plan", coloured["plan"], [])
+    results.add("bounces", grown, [])
+    said = [note for note in bounce.notes(results, plan) if "rays leave" not in note]
+    assert [note for note in said if "averaged" not in note and "in place of" not in note] == [
+        "bounces grew, which is the noise of few rays, and were stopped: nothing bounds what they "
+        "leave out or add; ask for more bounce_rays"
+    ]
+    assert not any("grew" in note for note in bounce.notes(coloured, plan))
+    assert not any(name.endswith("left out") for name in bounce.errors(results))
 
 
 def test_the_page_shows_the_bounces_of_every_part(coloured):

@@ -138,6 +138,7 @@ def run_block(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "energies": block.bounce_energies.tolist(),
         "left_out": None if block.remainder_energy is None else block.remainder_energy.tolist(),
         "is_bound": block.is_bound,
+        "grows": block.grows,
         "noise": block.noise_energy.tolist(),
         "rounds": list(block.rounds),
         "n_rays": list(block.n_rays),
@@ -293,7 +294,14 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
         ),
         default=0.0,
     )
-    if last > tolerance:
+    # of a job that began before blocks told it
+    grows = any(block.get("grows", False) for block in blocks)
+    if grows:
+        found.append(
+            "bounces grew, which is the noise of few rays, and were stopped: nothing bounds what "
+            "they leave out or add; ask for more bounce_rays"
+        )
+    elif last > tolerance:
         found.append(
             f"bounces stopped at max_bounces = {plan['bounces']['max_bounces']}: the last of them "
             f"added {last:.1e} of the energy, the tolerance is {tolerance:.1e}"
@@ -316,7 +324,7 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
                 f"{part['name']}: the bounces' rays leave {noise:.1e} of the energy to chance, the "
                 f"tolerance is {tolerance:.1e}: ask for more bounce_rays"
             )
-    if any(block["left_out"] is None for block in blocks):
+    if not grows and any(block["left_out"] is None for block in blocks):
         found.append(
             "nothing bounds what the bounces leave out: some light never gets out (albedo 1 in a "
             "closed space)"

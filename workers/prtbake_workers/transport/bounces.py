@@ -28,6 +28,10 @@ MAX_POWERS = 64
 TAIL_SHARE = 1e-3
 """The majorant is summed until its last term is below this share of it."""
 
+GROWN = 2.0
+"""Times the least energy of a bounce so far, above which bounces grow.  Surfaces give back no more
+than they get, so it is the noise of few rays, and to go on would sum that without end."""
+
 
 @dataclass(frozen=True)
 class BouncedBlock:
@@ -50,6 +54,8 @@ class BouncedBlock:
         Of everything after the last bounce: an upper bound where ``is_bound``, under F as it was
         traced, else an estimate from the last two bounces.  None where bounces do not fade or
         none was asked for.
+    grows
+        Whether bounces were stopped because they grew, see `GROWN`.
     noise_energy
         Expected squared error of all bounces from their rays being few and from means over
         neighbours where those are taken, as measured at some vertices, see `bounce_error`.  What
@@ -69,6 +75,7 @@ class BouncedBlock:
     bounce_energies: Float64[F64, "bounces parts"]
     remainder_energy: Float64[F64, " parts"] | None
     is_bound: bool
+    grows: bool
     noise_energy: Float64[F64, " parts"]
     rounds: tuple[int, ...]
     n_rays: tuple[int, ...]
@@ -109,7 +116,8 @@ def bounce_block(
         Squared-error ratio to direct light below which fewer rays do where means are taken, see
         `pilot_rays`; 0 takes all.
     max_bounces
-        At most so many.  None, which leaves the scattering of direct light, traces no ray.
+        At most so many, and none after one that brings more than `GROWN` times what one before it
+        did.  None, which leaves the scattering of direct light, traces no ray.
     tolerance
         Squared-error ratio: bounces stop after the first whose energy, over that of the sum, is
         not above it on any part.  Where every block of coefficients keeps it, so does their whole.
@@ -160,6 +168,7 @@ def bounce_block(
         later_rays = None if later_rays is None else np.minimum(later_rays, n_rays).tolist()
     gathers = casting.parts(n_rays if max_bounces else ())
     energies: list[F64] = []
+    grows = False
     while len(energies) < max_bounces and total.any():
         if len(energies) == 1 and later_rays is not None and list(later_rays) != list(n_rays):
             # the first ones go before the others come
@@ -175,9 +184,11 @@ def bounce_block(
             progress(len(energies), max_bounces)
         if (energies[-1] <= tolerance * total).all():
             break
+        if grows := _grow(energies):
+            break
     is_bound = all(own.is_constant_phi for own in factorisations)
     remainder = None
-    if max_bounces:
+    if max_bounces and not grows:
         remainder = (
             _majorant(scene, gathers, media, sent)
             if is_bound
@@ -219,6 +230,7 @@ def bounce_block(
         bounce_energies=np.reshape(energies, (-1, len(direct))),
         remainder_energy=remainder,
         is_bound=is_bound,
+        grows=grows,
         noise_energy=noise,
         rounds=taken,
         n_rays=tuple(n_rays),
@@ -279,6 +291,12 @@ def _majorant(
             return _energy(scene, bound)
         before = now
     return None
+
+
+def _grow(energies: Sequence[Float64[F64, " parts"]]) -> bool:
+    """Whether the last bounce brings more than one before it, noise of the energies aside."""
+    whole = [float(one.sum()) for one in energies]
+    return whole[-1] > GROWN * min(whole)
 
 
 def _handed_on(energies: Sequence[Float64[F64, " parts"]]) -> float:
