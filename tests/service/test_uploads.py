@@ -1,4 +1,5 @@
 import hashlib
+import os
 import socket
 import time
 from collections.abc import Callable
@@ -93,4 +94,5 @@ def _until(condition: Callable[[], bool]) -> None:
 
 
 def _scratch_is_empty(service: LiveService) -> bool:
-    return not [p for p in (service.data_dir / "blobs" / "scratch").rglob("*") if p.is_file()]
+    # a folder may go while it is looked at
+    return not any(files for _, _, files in os.walk(service.data_dir / "blobs" / "scratch"))
