@@ -20,6 +20,7 @@ from prtbake_storage.queue.engine import JobQueue, engine_url
 from prtbake_storage.queue.settings import QueueSettings, new_executor_id
 from prtbake_storage.queue.supervisor import Supervisor
 from prtbake_storage.records import Jobs, NewJob, Workers, create_database
+from support.folders import files_in
 
 REGISTRY = "toy_registry:REGISTRY"
 PATIENCE_S = 60.0
@@ -152,8 +153,7 @@ class Fleet:
 
     def leftovers(self) -> list[Path]:
         """Files in scratch."""
-        store = self.settings.data_dir / "blobs"
-        return [path for path in (store / "scratch").rglob("*") if path.is_file()]
+        return files_in(self.settings.data_dir / "blobs" / "scratch")
 
     @staticmethod
     def until(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> float:

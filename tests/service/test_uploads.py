@@ -1,5 +1,4 @@
 import hashlib
-import os
 import socket
 import time
 from collections.abc import Callable
@@ -8,6 +7,7 @@ import httpx
 import pytest
 
 from prtbake_service.testing import LiveService
+from support.folders import files_in
 
 
 def digest_of(data: bytes) -> str:
@@ -94,5 +94,4 @@ def _until(condition: Callable[[], bool]) -> None:
 
 
 def _scratch_is_empty(service: LiveService) -> bool:
-    # a folder may go while it is looked at
-    return not any(files for _, _, files in os.walk(service.data_dir / "blobs" / "scratch"))
+    return not files_in(service.data_dir / "blobs" / "scratch")

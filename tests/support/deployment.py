@@ -21,6 +21,7 @@ from prtbake.launch import LocalService
 from prtbake_storage.blobs import open_store
 from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegistration
 from prtbake_storage.records import Jobs, Workers, create_database
+from support.folders import files_in
 
 PATIENCE_S = 240.0
 """Deadline of what must happen at all: a job takes 15 s on a quiet machine."""
@@ -102,7 +103,7 @@ class Installation:
 
     def leftovers(self) -> list[Path]:
         """Files in scratch."""
-        return [path for path in (self.folder / "blobs" / "scratch").rglob("*") if path.is_file()]
+        return files_in(self.folder / "blobs" / "scratch")
 
 
 def command_line(process: psutil.Process) -> list[str]:
