@@ -17,7 +17,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.hdf5.writer import write_asset
 from prtbake_workers.jobs import report
 from prtbake_workers.jobs.estimate import predict
-from prtbake_workers.jobs.plan import repairs
+from prtbake_workers.jobs.plan_notes import repairs
 from prtbake_workers.jobs.registry import REGISTRY
 from support.local_stages import registered, run_stages
 from support.scenes import (

@@ -22,38 +22,11 @@ from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
 from prtbake_workers.planning.error_search import WINDOW
 from prtbake_workers.report.account import pooled_budget
+from support.budgeted import LEFT_OPEN, begun, normal
 from support.local_stages import run_stage, run_stages
-from support.scenes import NO_RESOURCE, context_of
 
-SKY = {"builtin": {"name": "sun_sky", "width": 32}}
 TARGET = 0.25
 NO_BOUNCES = {"interreflection": "off"}
-LEFT_OPEN = {
-    "bake": {"cube_resolution": 8, "n_centres": 42},
-    "compress": {"max_iterations": 2},
-    "render": {"width": 16, "height": 16, "backend": "cpu"},
-    "validation": {"width": 32, "height": 24, "passes": 4, "samples": 32},
-}
-
-
-def normal(budget, **changes):
-    """A request as the service stores it."""
-    request = {
-        "kind": "asset",
-        "mesh": f"mesh-{NO_RESOURCE}",
-        "environment": f"environment-{NO_RESOURCE}",
-        "brdf": {"model": "lambert", "albedo": 0.7},
-        "budget": budget,
-        "settings": LEFT_OPEN,
-        **changes,
-    }
-    return job_request_adapter.validate_python(request).model_dump(mode="json")
-
-
-def begun(store, request):
-    """What the service and the engine tell of a job that starts now."""
-    mesh = {"builtin": {"name": "icosphere", "tessellation": 2}}
-    return context_of(store, request, mesh, SKY) | {"started": time.time()}
 
 
 def run(store, request, context):

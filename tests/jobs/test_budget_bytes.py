@@ -1,7 +1,6 @@
 """Bytes of an asset as a whole: alone, beside an error and beside a time, through the real stages."""
 
 import json
-import time
 from math import isclose
 
 import pytest
@@ -14,38 +13,16 @@ from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.planning.error_search import WINDOW
+from support.budgeted import LEFT_OPEN, normal
+from support.budgeted import begun as begun_at
 from support.local_stages import run_stage, run_stages
-from support.scenes import NO_RESOURCE, context_of
 
-SKY = {"builtin": {"name": "sun_sky", "width": 32}}
 TARGET = 0.08
-SETTINGS = {
-    "bake": {"cube_resolution": 8, "n_centres": 42},
-    "compress": {"max_iterations": 2},
-    "render": {"width": 16, "height": 16, "backend": "cpu"},
-    "validation": {"width": 32, "height": 24, "passes": 4, "samples": 32},
-}
 FEW_LOBES = {"fit_light": {"n_lobes": 32, "max_iterations": 1}}
 
 
-def normal(budget, **changes):
-    """A request as the service stores it."""
-    request = {
-        "kind": "asset",
-        "mesh": f"mesh-{NO_RESOURCE}",
-        "environment": f"environment-{NO_RESOURCE}",
-        "brdf": {"model": "lambert", "albedo": 0.7},
-        "budget": budget,
-        "settings": SETTINGS,
-        **changes,
-    }
-    return job_request_adapter.validate_python(request).model_dump(mode="json")
-
-
 def begun(store, request):
-    """What the service and the engine tell of a job that starts now."""
-    mesh = {"builtin": {"name": "icosphere", "tessellation": 3}}
-    return context_of(store, request, mesh, SKY) | {"started": time.time()}
+    return begun_at(store, request, tessellation=3)
 
 
 def made(store, budget, **changes):
@@ -69,7 +46,7 @@ MOST = 31_000
 
 @pytest.fixture(scope="module")
 def alone(store):
-    return made(store, {"max_bytes": MOST}, quality="draft", settings=SETTINGS | FEW_LOBES)
+    return made(store, {"max_bytes": MOST}, quality="draft", settings=LEFT_OPEN | FEW_LOBES)
 
 
 def test_bytes_alone_are_filled_at_the_quality_beside_them(alone, store):
@@ -207,7 +184,7 @@ HELD = 31_500
 
 @pytest.fixture(scope="module")
 def timed(store):
-    return made(store, {"max_seconds": 200.0, "max_bytes": HELD}, settings=SETTINGS | FEW_LOBES)
+    return made(store, {"max_seconds": 200.0, "max_bytes": HELD}, settings=LEFT_OPEN | FEW_LOBES)
 
 
 def test_every_attempt_in_time_keeps_to_the_bytes(timed, store):

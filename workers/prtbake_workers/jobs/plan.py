@@ -21,11 +21,8 @@ from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.schema import transfer_chunk_vertices
 from prtbake_storage.queue.context import TaskContext
 from prtbake_storage.queue.stages import Task
-from prtbake_workers.basis.hemisphere_basis import HemisphereBasis
 from prtbake_workers.brdf.base import Brdf, is_isotropic
 from prtbake_workers.brdf.factorisation import Factorisation
-from prtbake_workers.brdf.factorise import factorise
-from prtbake_workers.brdf.factorise_harmonic import factorise_harmonic
 from prtbake_workers.brdf.harmonic_factorisation import HarmonicFactorisation
 from prtbake_workers.brdf.lambert import Lambert
 from prtbake_workers.geometry.accelerator import Accelerator
@@ -33,6 +30,8 @@ from prtbake_workers.geometry.scene import Scene, bodies_of
 from prtbake_workers.jobs.inputs import load_brdf, load_mesh, versions
 from prtbake_workers.jobs.materials import PartInput, part_inputs
 from prtbake_workers.jobs.media import make_dipole
+from prtbake_workers.jobs.part_factorisations import factorise_all
+from prtbake_workers.jobs.plan_notes import repairs, side_notes, term_notes, unread_tangents
 from prtbake_workers.jobs.rounding import SHARE
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
@@ -160,7 +159,7 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
     requested = Effects.model_validate(args["effects"])
     specs = [json.dumps(part.brdf, sort_keys=True) for part in parts]
     view_dependent = requested.view_dependence != "off"
-    factorisations = _factorise_all(specs, brdfs, settings.bake, view_dependent=view_dependent)
+    factorisations = factorise_all(specs, brdfs, settings.bake, view_dependent=view_dependent)
     part_terms = [factorisation.n_terms for factorisation in factorisations]
     accelerator = Accelerator(scene.positions, scene.traced_faces)
     media = [None if part.subsurface is None else make_dipole(part.subsurface) for part in parts]
@@ -219,9 +218,9 @@ def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Pl
         spectra=spectra,
         notes=[
             *notes,
-            *_term_notes(names, factorisations),
-            *grain_notes(grain, _unread_tangents(parts, grain)),
-            *_side_notes(parts, bool(report.get("watertight", False))),
+            *term_notes(names, factorisations),
+            *grain_notes(grain, unread_tangents(parts, grain)),
+            *side_notes(parts, bool(report.get("watertight", False))),
             *filter(
                 None,
                 (
@@ -406,71 +405,6 @@ def _grain_of(parts: Sequence[PartInput], brdfs: Sequence[Brdf]) -> list[Grain |
         None if is_isotropic(brdf) else Grain.of(part.name, part.mesh, part.tangents)
         for part, brdf in zip(parts, brdfs, strict=True)
     ]
-
-
-def _unread_tangents(parts: Sequence[PartInput], grain: Sequence[Grain | None]) -> list[str]:
-    """Name the parts of the object that ask for tangents which nothing reads."""
-    return [
-        part.name
-        for part, own in zip(parts, grain, strict=True)
-        if own is None and part.role == "object" and part.tangents != "horizontal"
-    ]
-
-
-def _side_notes(parts: Sequence[PartInput], watertight: bool) -> list[str]:
-    """Say which parts are baked on both sides, and for which of them that is for nothing."""
-    return [
-        f"the mesh is closed: the inside of {part.name} is dark and not seen from outside, and "
-        f"two_sided bakes its {part.mesh.n_vertices // 2} vertices for nothing"
-        if watertight
-        else f"{part.name} has two sides: its {part.mesh.n_vertices // 2} vertices are baked twice"
-        for part in parts
-        if part.two_sided
-    ]
-
-
-def _term_notes(names: Sequence[str], factorisations: Sequence[Factorisation]) -> list[str]:
-    return [
-        f"{name}: {factorisation.note}" if len(names) > 1 else factorisation.note
-        for name, factorisation in zip(names, factorisations, strict=True)
-        if factorisation.note
-    ]
-
-
-def _factorise_all(
-    specs: Sequence[str], brdfs: Sequence[Brdf], bake: BakeSettings, *, view_dependent: bool
-) -> tuple[Factorisation, ...]:
-    """Factorise the BRDF of every part; parts may share one, and differ in the rest alone."""
-    found: dict[str, Factorisation] = {}
-    for spec, brdf in zip(specs, brdfs, strict=True):
-        if spec not in found:
-            found[spec] = _factorise(brdf, bake, view_dependent=view_dependent)
-    return tuple(found[spec] for spec in specs)
-
-
-def _factorise(brdf: Brdf, bake: BakeSettings, *, view_dependent: bool) -> Factorisation:
-    """Factorise as the settings say; without view dependence by the best single product."""
-    if not view_dependent:
-        return factorise(brdf, n_terms=1)
-    if bake.view_order is not None:
-        return factorise_harmonic(brdf, bake.view_order, HemisphereBasis(bake.view_order).kept)
-    energy_lost = bake.term_energy_lost if bake.n_terms is None else None
-    return factorise(brdf, n_terms=bake.n_terms, energy_lost=energy_lost)
-
-
-REPAIRS = {
-    "unreferenced_vertices": "vertices that no face uses were dropped",
-    "duplicate_vertices": "duplicate vertices were merged",
-    "degenerate_faces": "faces without area were dropped",
-    "duplicate_faces": "duplicate faces were dropped",
-    "flipped_faces": "faces were turned over",
-}
-"""What no warning of the report says; its warnings stand beside these."""
-
-
-def repairs(report: dict[str, Any]) -> list[str]:
-    """Say what parsing had to mend in the mesh."""
-    return [f"mesh: {report[name]} {what}" for name, what in REPAIRS.items() if report.get(name)]
 
 
 def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
