@@ -3,12 +3,12 @@
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.jobs import (
+from prtbake_storage.contract.asset_budget import (
     DECIDED_BY_BYTES,
     DECIDED_BY_EITHER,
     DECIDED_BY_ERROR,
-    job_request_adapter,
 )
+from prtbake_storage.contract.jobs import job_request_adapter
 
 ASSET = {
     "kind": "asset",

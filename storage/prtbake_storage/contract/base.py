@@ -46,5 +46,11 @@ Moment = Annotated[AwareDatetime, AfterValidator(_in_utc)]
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
+MaxError = Annotated[float, Field(gt=0.0, lt=1.0)]
+"""What a result may err by; whether squared and of what, its field says."""
+MaxBytes = Annotated[int, Field(ge=1, lt=2**53)]
+"""What a file may weigh: counts below 2^53 are exact in JSON's numbers."""
+MaxSeconds = Annotated[float, Field(gt=0.0, le=7 * 86400.0)]
+"""What work may take; a week at most."""
 Vec3 = tuple[float, float, float]
 Rgb = tuple[Fraction, Fraction, Fraction]

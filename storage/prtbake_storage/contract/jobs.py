@@ -14,10 +14,10 @@ from pydantic import (
     field_validator,
 )
 
-from prtbake_storage.contract.bake_budget import BakeBudget, check_beside
+from prtbake_storage.contract.asset_budget import AssetBudget
+from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_storage.contract.base import Digest, Label, ResourceId, Vec3, Wire
 from prtbake_storage.contract.brdf import BrdfSpec
-from prtbake_storage.contract.budget import AssetBudget
 from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.contract.materials import Materials, Subsurface, Tangents
 from prtbake_storage.contract.settings import (
@@ -145,7 +145,7 @@ class BakeRequest(_SceneRequest, _OneStage):
         """Refuse settings that would decide what the budget decides."""
         budget = info.data.get("budget")
         if budget is not None:
-            check_beside(budget, settings.model_dump(exclude_unset=True))
+            budget.check_beside(settings.model_dump(exclude_unset=True))
         return settings
 
 
@@ -191,34 +191,6 @@ class ValidateRequest(_LitRequest):
     settings: ValidateSettings = ValidateSettings()
 
 
-DECIDED_BY_ERROR = (
-    ("compress", "ranks"),
-    ("compress", "n_components"),
-    ("compress", "max_error"),
-    ("compress", "max_bytes"),
-    ("compress", "max_quantisation_error"),
-    ("fit_light", "n_lobes"),
-    ("fit_light", "max_error"),
-    ("fit_light", "max_bytes"),
-)
-"""Settings that a budget's error takes the place of: stage and name."""
-
-DECIDED_BY_BYTES = (
-    ("compress", "ranks"),
-    ("compress", "n_components"),
-    ("compress", "max_bytes"),
-    ("compress", "max_quantisation_error"),
-)
-"""Those that its bytes do."""
-
-DECIDED_BY_EITHER = (
-    ("compress", "max_seconds"),
-    ("fit_light", "max_seconds"),
-)
-"""Those that either an error or a time does: a search counts on stages that end with what they were
-asked for."""
-
-
 class AssetRequest(_SceneRequest, _LitRequest):
     """The main job: bake, compress, fit, render, validate, report."""
 
@@ -246,22 +218,8 @@ class AssetRequest(_SceneRequest, _LitRequest):
     def _not_the_budgets(cls, settings: AssetSettings, info: ValidationInfo) -> AssetSettings:
         """Refuse settings that would decide what the budget decides."""
         budget = info.data.get("budget")
-        if budget is None:
-            return settings
-        decided = [
-            ("the budget", DECIDED_BY_EITHER, budget.searched, ()),
-            ("budget.max_error", DECIDED_BY_ERROR, budget.max_error is not None, (8,)),
-            ("budget.max_bytes", DECIDED_BY_BYTES, budget.max_bytes is not None, (8, 16)),
-        ]
-        for who, names, asked, bits in decided:
-            if not asked:
-                continue
-            for stage, name in names:
-                if getattr(settings, stage).get(name) is not None:
-                    raise ValueError(f"{who} chooses {stage}.{name}: give one of them")
-            if settings.compress.get("bits") in bits:
-                left = "'auto'" if 16 in bits else "'auto', or 16"
-                raise ValueError(f"{who} chooses compress.bits: leave them {left}")
+        if budget is not None:
+            budget.check_beside(settings)
         return settings
 
     @property

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from prtbake_storage.contract.base import Positive, Wire
+from prtbake_storage.contract.base import MaxBytes, MaxError, MaxSeconds, Positive, Wire
 from prtbake_storage.decode.light import LightMethod
 from prtbake_storage.decode.sh import MOST_ORDER
 
@@ -54,11 +54,11 @@ class FitLightSettings(Wire):
     """
 
     method: LightMethod = "srbf_scattered"
-    max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    max_error: MaxError | None = None
     """Of `srbf_scattered`: what the light may leave of the environment, squared and relative."""
-    max_bytes: Annotated[int, Field(ge=1, lt=2**53)] | None = None
+    max_bytes: MaxBytes | None = None
     """Of `srbf_scattered`: of `light.h5`; as many lobes as fit it, or with `max_error` at most."""
-    max_seconds: Annotated[float, Field(gt=0.0, le=604800.0)] | None = None
+    max_seconds: MaxSeconds | None = None
     """Of `srbf_scattered`: refinement ends in time with what it has, and a note says so; with
     `max_error` the job fails where that leaves more."""
     n_lobes: Annotated[int, Field(ge=1, le=MOST_LOBES)] | None = Field(

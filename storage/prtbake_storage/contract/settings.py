@@ -5,7 +5,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from prtbake_storage.contract.base import Digest, Positive, Vec3, Wire
+from prtbake_storage.contract.base import (
+    Digest,
+    MaxBytes,
+    MaxError,
+    MaxSeconds,
+    Positive,
+    Vec3,
+    Wire,
+)
 from prtbake_storage.contract.brdf import BrdfSpec, Reflectance
 from prtbake_storage.contract.light import FitLightSettings
 from prtbake_storage.decode.sh import MOST_ORDER
@@ -208,14 +216,14 @@ class CompressSettings(Wire):
     max_quantisation_error: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
     """Of `auto`: what rounding may add to a part, squared, relative to its transfer; null is a
     hundredth of what compression leaves."""
-    max_error: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    max_error: MaxError | None = None
     """Squared, relative to a part's transfer, rounding included: sizes are searched that end just
     below it.  Takes the place of `ranks`, `n_components` and `max_quantisation_error`."""
-    max_bytes: Annotated[int, Field(ge=1, lt=2**53)] | None = None
+    max_bytes: MaxBytes | None = None
     """Of `asset.h5`, mesh and tables included: sizes, columns and bits are searched that end just
     below it with the least error.  Takes the place of the same; beside `max_error`, what the fewest
     bytes for that error are held against."""
-    max_seconds: Annotated[float, Field(gt=0.0, le=604800.0)] | None = None
+    max_seconds: MaxSeconds | None = None
     """Of all tasks of compressing and writing, added up: fits end between two of their rounds with
     what they have, and notes say so.  One round is the least that is done, whatever it takes."""
     coherence: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None

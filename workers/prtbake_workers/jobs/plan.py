@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from prtbake_storage.blobs.base import BlobStore
-from prtbake_storage.contract.budget import AssetBudget
+from prtbake_storage.contract.asset_budget import AssetBudget
 from prtbake_storage.contract.settings import (
     AssetSettings,
     BakeSettings,
