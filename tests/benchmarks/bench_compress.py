@@ -1,9 +1,9 @@
 """Compression: CTA an iteration beside tensorly, in classification products in all, and memory.
 
-The unit of the totals is the product that classification cannot do without, measured in the same
-run: all vertices' (r_view coeffs) rows by the folded bases of all clusters.  The transfer is that
-of the bunny where ``PRTBAKE_DATA`` names the real data, else smooth bumps of its size.  Times carry
-limits at full size only; ``quick`` checks error and memory, on bumps.
+The unit of the totals is the product that classification cannot do without, timed between the
+iterations.  The transfer is that of the bunny where ``PRTBAKE_DATA`` names the real data, else
+smooth bumps of its size.  Times carry limits at full size only; ``quick`` checks error and memory,
+on bumps.
 """
 
 import os
@@ -15,8 +15,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+from classification_unit import Shape, UnitAside
 from glossy_bunny import baked_transfer
-from harness import Row, best_time, in_child
+from harness import Row, in_child
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -51,6 +52,12 @@ class Setting(NamedTuple):
     n_clusters: int
     ranks: CtaRanks
 
+    @property
+    def unit(self) -> Shape:
+        return Shape(
+            self.n_verts, self.ranks.view * self.n_coeffs, self.n_clusters * self.ranks.vert
+        )
+
 
 FULL = Setting(34_834, 16, 642, 97, CtaRanks(8, 48, 24))
 QUICK = Setting(2_000, 8, 162, 8, CtaRanks(5, 16, 10))
@@ -58,7 +65,6 @@ QUICK = Setting(2_000, 8, 162, 8, CtaRanks(5, 16, 10))
 
 def rows(quick: bool) -> list[Row]:
     """Return the table of this benchmark."""
-    unit = in_child(__file__, "measure_unit", quick=quick)
     with TemporaryDirectory() as folder:
         path = str(Path(folder) / "transfer.npy")
         made = in_child(__file__, "make_transfer", quick=quick, path=path)
@@ -73,15 +79,15 @@ def rows(quick: bool) -> list[Row]:
         for seconds, error in zip(ours["times"], ours["errors"], strict=True)
         if error <= plain["errors"][-1]
     ]
-    width = s.n_clusters * s.ranks.vert
+    unit = s.unit
     gib = 1 << 30
     return [
         Row(
             "classification product (unit)",
-            seconds=unit["seconds"],
-            measured=unit["gflops"],
+            seconds=ours["unit_seconds"],
+            measured=ours["unit_gflops"],
             unit="GFlop/s",
-            limit_description=f"{s.n_verts} x {s.ranks.view * s.n_coeffs} x {width}, float32",
+            limit_description=f"{unit.n_verts} x {unit.depth} x {unit.width}, float32",
         ),
         Row(
             "CTA, twin an iteration",
@@ -110,7 +116,7 @@ def rows(quick: bool) -> list[Row]:
         Row(
             f"CTA, plain, {PLAIN_ITERATIONS} iterations",
             seconds=plain["seconds"],
-            measured=None if quick else plain["seconds"] / unit["seconds"],
+            measured=None if quick else plain["seconds"] / ours["unit_seconds"],
             unit="units",
             error=plain["errors"][-1],
             limit_description="numpy eigh, sweeps from nothing; eq. 17 factored",
@@ -119,7 +125,7 @@ def rows(quick: bool) -> list[Row]:
             "CTA, to the plain one's error",
             seconds=reached[0] if reached else None,
             # NaN where it never comes there: no limit is kept by that
-            measured=None if quick else (reached[0] if reached else np.nan) / unit["seconds"],
+            measured=None if quick else (reached[0] if reached else np.nan) / ours["unit_seconds"],
             unit="units",
             limit=None if quick else MOST_UNITS,
             error=plain["errors"][-1],
@@ -128,7 +134,7 @@ def rows(quick: bool) -> list[Row]:
         Row(
             f"CTA in all, {ours['iterations']} iterations",
             seconds=ours["seconds"],
-            measured=None if quick else ours["seconds"] / unit["seconds"],
+            measured=None if quick else ours["seconds"] / ours["unit_seconds"],
             unit="units",
             error=ours["errors"][-1],
             limit_description=f"until an iteration wins less than {100 * LEAST_WIN:g} %",
@@ -162,45 +168,40 @@ def make_transfer(*, quick: bool, path: str) -> dict[str, Any]:
     return {"what": "bunny"}
 
 
-def measure_unit(*, quick: bool) -> dict[str, Any]:
-    """Time the product in four blocks of rows, as a program that minds its memory would."""
-    s = QUICK if quick else FULL
-    rng = np.random.default_rng(SEED)
-    depth, width, n_rows = s.ranks.view * s.n_coeffs, s.n_clusters * s.ranks.vert, s.n_verts // 4
-    left = rng.standard_normal((n_rows, depth), dtype=np.float32)
-    right = rng.standard_normal((depth, width), dtype=np.float32)
-    out = np.empty((n_rows, width), dtype=np.float32)
-    block = best_time(lambda: np.matmul(left, right, out=out), repeats=5)
-    return {
-        "seconds": block * s.n_verts / n_rows,
-        "gflops": 2e-9 * n_rows * depth * width / block,
-    }
-
-
 def measure_cta(*, quick: bool, path: str) -> dict[str, Any]:
     """Time compress_cta, as a whole and an iteration: a classification and a model step."""
     s = QUICK if quick else FULL
     transfer = np.load(path)
     clustered: list[float] = []
     times: list[float] = []
+    aside_seconds = 0.0
 
-    def note(fraction: float, state: str) -> None:
-        if state.startswith(("clustering", "approximation")):
-            times.append(time.perf_counter() - start)
-        if state.startswith("clustering"):
-            clustered.append(times[-1])
+    def now() -> float:
+        return time.perf_counter() - start - aside_seconds
 
-    start = time.perf_counter()
-    model = compress_cta(
-        transfer, s.n_clusters, s.ranks,
-        seed=SEED, max_iterations=MOST_ITERATIONS, tolerance=LEAST_WIN, progress=note,
-    )  # fmt: skip
+    with UnitAside(s.unit) as aside:
+
+        def note(fraction: float, state: str) -> None:
+            nonlocal aside_seconds
+            if state.startswith(("clustering", "approximation")):
+                times.append(now())
+            if state.startswith("clustering"):
+                clustered.append(times[-1])
+                aside_seconds += aside.time_piece()
+
+        start = time.perf_counter()
+        model = compress_cta(
+            transfer, s.n_clusters, s.ranks,
+            seed=SEED, max_iterations=MOST_ITERATIONS, tolerance=LEAST_WIN, progress=note,
+        )  # fmt: skip
+        seconds = now()
     return {
-        "seconds": time.perf_counter() - start,
+        "seconds": seconds,
         "times": times,
         "seconds_per_iteration": float(np.median(np.diff(clustered))),
         "iterations": model.iterations,
         "errors": [value / model.initial_energy for value in model.objective],
+        **aside.measured,
     }
 
 

@@ -1,0 +1,89 @@
+"""The unit of compressions and bakes: the one product that CTA's classification cannot do without.
+
+All vertices' (r_view coeffs) rows by the folded bases of all clusters.  It is timed in pieces
+between those of what it is the unit of, and both as means over the same span: the speed of a
+shared machine changes by the minute, and that of a product by more than that of rays.
+"""
+
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+PIECES = 8
+"""That the rows are cut into; a process times one of them at a time."""
+
+SEED = 0
+
+
+class Shape(NamedTuple):
+    """Of the product: vertices, view rank times coefficients, clusters times vertex rank."""
+
+    n_verts: int
+    depth: int
+    width: int
+
+    @property
+    def piece(self) -> tuple[int, int, int]:
+        return self.n_verts // PIECES, self.depth, self.width
+
+
+class UnitAside:
+    """Times pieces of the product in a process of its own, whose memory is not that of the work."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.pieces: list[float] = []
+
+    def __enter__(self) -> Self:
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        self._pool.submit(seconds_of_piece, self.shape.piece).result()  # touches the pages
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._pool.shutdown()
+
+    def time_piece(self) -> float:
+        """Time a piece, and give the seconds to leave out of the work's own."""
+        start = time.perf_counter()
+        self.pieces.append(self._pool.submit(seconds_of_piece, self.shape.piece).result())
+        return time.perf_counter() - start
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """Seconds of the whole product by the mean of the pieces, and its speed."""
+        n_rows, depth, width = self.shape.piece
+        piece = float(np.mean(self.pieces))
+        return {
+            "unit_seconds": piece * self.shape.n_verts / n_rows,
+            "unit_gflops": 2e-9 * n_rows * depth * width / piece,
+        }
+
+
+def seconds_of_piece(shape: tuple[int, int, int]) -> float:
+    """Time one product."""
+    left, right, out = _operands(shape)
+    start = time.perf_counter()
+    np.matmul(left, right, out=out)
+    return time.perf_counter() - start
+
+
+@cache
+def _operands(shape: tuple[int, int, int]) -> tuple[NDArray[np.float32], ...]:
+    n_rows, depth, width = shape
+    rng = np.random.default_rng(SEED)
+    return (
+        rng.standard_normal((n_rows, depth), dtype=np.float32),
+        rng.standard_normal((depth, width), dtype=np.float32),
+        np.empty((n_rows, width), np.float32),
+    )
