@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measured.pages import percent
 from measured.rows import read_rows, write_rows
 from measured.tsai import MODELS, QUICK, measure
 from measured.tsai_pages import (
@@ -13,6 +14,7 @@ from measured.tsai_pages import (
     CPCA_EVEN,
     CPCA_LARGER,
     CTA,
+    MOST_ERROR,
     OWN,
     WAVELETS,
     Row,
@@ -93,6 +95,9 @@ def test_statements_hold_only_where_they_do(tmp_path):
         assert not statements(bad)[index].holds
     fewer_bytes = [good[0], row(CPCA, 9_050, 0.020), row(CPCA_LARGER, 28_000, 0.0141)]
     assert statements(fewer_bytes)[1].holds
+    papers = page([row(CTA, 13_000, 0.014), row(CTA, 13_000, 0.016)], [], "about", "machine")
+    assert papers.count("of the ") >= 2
+    assert papers.count(f"not below {percent(MOST_ERROR)}") == 1
     text = page(good, [], "about", "machine")
     assert "| **error, SRBFs and CTA** | **1.4 %** | 3.64 % |" in text
     assert "Not measured yet: teapot and buddha." in text
