@@ -8,6 +8,7 @@ import numpy as np
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_workers.arrays import B8, F64, Bool, Float64
 from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Numbers, Told
+from prtbake_workers.planning.bake_refusal import Left, refusal
 from prtbake_workers.planning.time_search import MARGIN
 
 MOST_BAKES = 4
@@ -111,12 +112,10 @@ def choose(
     near = asked is not None and last is not None and last.error >= WINDOW * asked
     if near and best == len(told) - 1:
         return Choice(None)
-    if len(told) == MOST_BAKES:
-        return Choice(None, None if best is not None else _refusal(model, budget, told, None))
     aimed = bounce_tolerance(budget, last, tolerance)
-    seen = model.foreseen(last, aimed)
+    seen, rows = model.foreseen(last, aimed), _untried(model, told, aimed)
     for share in (LATER_SIZE,) if told else (FIRST_SIZE, LATER_SIZE):
-        fits = _untried(model, told, aimed) & _in_size(budget, seen, share)
+        fits = rows & _in_size(budget, seen, share)
         row = (
             _best(model, seen, fits, told, best, left)
             if asked is None
@@ -124,11 +123,18 @@ def choose(
         )
         if row is not None:
             return Choice(model.numbers(row, aimed))
-    return Choice(None, None if best is not None else _refusal(model, budget, told, left, seen))
+    if best is not None:
+        return Choice(None)
+    nearly = np.inf if asked is None else _nearly(asked, told)
+    return Choice(
+        None,
+        refusal(model, budget, told, Left(seen, rows, _in_size(budget, seen), nearly, left)),
+    )
 
 
 def _untried(model: BakeModel, told: Sequence[Told], tolerance: float) -> Bool[B8, " rows"]:
-    found = np.ones(len(model.choices), np.bool_)
+    """Tell which rows may be made: none that was, and none once as many were as may be."""
+    found = np.full(len(model.choices), len(told) < MOST_BAKES, np.bool_)
     found[[model.row(one.numbers) for one in told if one.numbers.bounce_tolerance == tolerance]] = (
         False
     )
@@ -163,8 +169,12 @@ def _cheapest(
         return _least(model.cost, good)
     if good.any():
         return _least(model.cost, good)
-    nearly = max_error * (1.0 if told else NEARLY)
-    return _least(errors, fits & (errors <= nearly**2))
+    return _least(errors, fits & (errors <= _nearly(max_error, told) ** 2))
+
+
+def _nearly(max_error: float, told: Sequence[Told]) -> float:
+    """Give the predicted error that is tried: more than is asked for while none is measured."""
+    return max_error if told else NEARLY * max_error
 
 
 def _best(
@@ -193,77 +203,3 @@ def _best(
 
 def _least(values: Float64[F64, " rows"], among: Bool[B8, " rows"]) -> int | None:
     return int(np.where(among, values, np.inf).argmin()) if among.any() else None
-
-
-LINES = {
-    "projection": "what directions and functions leave: more than {centres} centres and 6 x "
-    "{fine}^2 directions are not tried{why}",
-    "terms": "what the BRDF's terms leave: more of them, or a smoother BRDF, would lower it",
-    "rest": "what light between surfaces and inside them leaves, or effects that are left out",
-}
-"""What a line is that binds, and what would lower it."""
-
-
-def _refusal(
-    model: BakeModel,
-    budget: BakeBudget,
-    told: Sequence[Told],
-    left: float | None,
-    seen: Foreseen | None = None,
-) -> tuple[str, str]:
-    """Say which field cannot be kept, the best that can be, and what binds."""
-    last = told[-1] if told else None
-    if seen is None:
-        tolerance = last.numbers.bounce_tolerance if last is not None else 0.0
-        seen = model.foreseen(last, tolerance)
-    errors = seen.errors
-    within = np.ones(len(errors), np.bool_)
-    if budget.max_error is not None:
-        within = errors <= budget.max_error**2
-        if not within.any() or (len(told) == MOST_BAKES and budget.max_bytes is None):
-            return "max_error", _error_refused(model, budget, told, seen)
-    if budget.max_bytes is not None and not (within & _in_size(budget, seen)).any():
-        least = int(np.where(within, seen.sizes, np.inf).min())
-        asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
-        made = "" if last is None else ", by the one that was made"
-        return (
-            "max_bytes",
-            f"max_bytes is {budget.max_bytes}: the least that is possible{asked} is predicted to "
-            f"take {least}{made}",
-        )
-    if left is not None:
-        seconds = np.where(within & _in_size(budget, seen), seen.seconds, np.inf)
-        needed = MARGIN * float(seconds.min())
-        return (
-            "max_seconds",
-            f"{budget.max_seconds:g} s are too few: {max(left, 0.0):.0f} s are left for a bake, "
-            f"and the least that will do is predicted to take {needed:.0f} s",
-        )
-    sizes = ", ".join(str(one.size) for one in told)
-    return "max_bytes", f"max_bytes is {budget.max_bytes}: the bakes that were made take {sizes}"
-
-
-def _error_refused(
-    model: BakeModel, budget: BakeBudget, told: Sequence[Told], seen: Foreseen
-) -> str:
-    max_error, seconds = budget.max_error or 0.0, budget.max_seconds
-    row = int(seen.errors.argmin())
-    (part, line), best = seen.worst(row), float(np.sqrt(seen.errors[row]))
-    how = "is predicted to be left"
-    nearest = min(told, key=lambda one: one.error, default=None)
-    if nearest is not None and (nearest.error <= (1.0 + 1e-9) * best or best <= max_error):
-        (part, line), best = nearest.worst(), nearest.error
-        how = f"was left, by the nearest of {len(told)}" if len(told) > 1 else "was left"
-    if not np.isfinite(best):
-        return (
-            f"an error of {max_error:.2%} cannot be met: nothing bounds what later bounces leave; "
-            "more bounce_rays or a finer mesh would lower it"
-        )
-    centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
-    why = "" if seconds is None else f" in {seconds:g} s"
-    words = LINES[line].format(centres=centres, fine=fine, why=why)
-    whose = f" of {model.names[part]}" if len(model.names) > 1 else ""
-    return (
-        f"an error of {max_error:.2%} cannot be met: at best {best:.2%} {how}{whose}, and the "
-        f"largest part of it is {words}"
-    )

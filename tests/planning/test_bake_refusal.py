@@ -1,0 +1,85 @@
+"""What a search for a bake refuses with: the field that binds, and what can be asked for."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from prtbake_storage.contract.bake_budget import BakeBudget
+from prtbake_workers.planning.bake_model import BakeModel, Told
+from prtbake_workers.planning.bake_search import MOST_BAKES, choose
+from prtbake_workers.planning.time_search import MARGIN
+from support.made_up_bakes import made, model_of, searched, trial
+
+
+def with_errors(one, squared):
+    """The same bake, whose parts err by so much in all."""
+    nothing = (0.0,) * len(one.terms)
+    return Told(
+        one.numbers, (squared,) * len(one.projection), nothing, nothing, one.size, one.seconds
+    )
+
+
+def one_row(error=1.2e-3):
+    """A diffuse scene whose centres and directions are given."""
+    pinned = trial(glossy=False)
+    pinned["candidates"] = [{"n_centres": 42, "cube_resolution": 12, "errors": [error, error / 3]}]
+    return BakeModel(pinned, lambda work: work["bake"]["flops"] / 1e9 + 1.0)
+
+
+def test_bytes_that_all_bakes_keep_are_not_what_an_error_is_refused_by():
+    """Four bakes end just above the error, far below the bytes, and finer ones look better."""
+    model, budget = model_of(), BakeBudget(max_error=0.2, max_bytes=10**9)
+    rows = [model.choices.index(one) for one in ((642, 24, 5), (162, 24, 5), (162, 12, 5))]
+    rows.append(model.choices.index((42, 12, 5)))
+    told = [with_errors(made(model, model.numbers(row, 4e-3)), 0.201**2) for row in rows]
+    assert len(told) == MOST_BAKES
+    assert (model.foreseen(told[-1], 4e-3).errors <= 0.04).any()
+    choice = choose(model, budget, told, left=None, tolerance=1e-3)
+    assert choice.numbers is None
+    field, why = choice.refused
+    assert field == "max_error"
+    assert "at best 20.10% was left, by the nearest of 4" in why
+
+
+@pytest.mark.parametrize(
+    ("more", "left"), [({}, None), ({"max_seconds": 1000.0}, 990.0), ({"max_bytes": 10**9}, None)]
+)
+def test_a_bake_that_errs_by_more_than_any_trial_is_off_is_refused_by_the_error(more, left):
+    """Nothing but the bake that was made is there to choose, and predictions are held to ten."""
+    model, budget = one_row(), BakeBudget(max_error=0.12, **more)
+    first = choose(model, budget, [], left=left, tolerance=1e-3).numbers
+    told = [with_errors(made(model, first), 2e-2)]
+    choice = choose(model, budget, told, left=left, tolerance=1e-3)
+    assert choice.numbers is None
+    field, why = choice.refused
+    assert field == "max_error"
+    assert f"at best {sqrt(2e-2):.2%} was left of a, and" in why
+
+
+def test_bytes_that_a_bake_of_the_error_exceeds_are_refused_with_what_it_takes():
+    """The one row there is keeps the error, and takes a tenth more than is predicted."""
+    model = one_row()
+    size = int(model.foreseen(None, 0.0).sizes[0])
+    budget = BakeBudget(max_error=0.12, max_bytes=round(1.05 * size))
+    told, choice = searched(model, budget, size_off=1.1)
+    assert len(told) == 1
+    assert told[0].error < 0.12
+    field, why = choice.refused
+    assert field == "max_bytes"
+    assert f"take {told[0].size}, by the one that was made" in why
+
+
+def test_a_better_bake_in_sight_that_has_no_time_is_refused_by_the_time():
+    """The twin: what is left to make would keep the error, and takes longer than there is."""
+    model, budget = model_of(), BakeBudget(max_error=0.2, max_seconds=100.0)
+    first = choose(model, budget, [], left=90.0, tolerance=1e-3).numbers
+    told = [made(model, first, off=1.5)]
+    field, why = choose(model, budget, told, left=1.2, tolerance=1e-3).refused
+    assert field == "max_seconds"
+    seen = model.foreseen(told[0], first.bounce_tolerance)
+    within = seen.errors <= 0.04
+    within[model.row(first)] = False
+    least = MARGIN * float(np.where(within, seen.seconds, np.inf).min())
+    assert least > 1.2
+    assert f"take {int(np.ceil(least))} s" in why

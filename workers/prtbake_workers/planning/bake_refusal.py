@@ -1,0 +1,112 @@
+"""Why a search for a bake ends with nothing: the field that binds, and the best that can be had."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+
+import numpy as np
+
+from prtbake_storage.contract.bake_budget import BakeBudget
+from prtbake_workers.arrays import B8, Bool
+from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Told
+from prtbake_workers.planning.time_search import MARGIN
+
+LINES = {
+    "projection": "what directions and functions leave: more than {centres} centres and 6 x "
+    "{fine}^2 directions are not tried{why}",
+    "terms": "what the BRDF's terms leave: more of them, or a smoother BRDF, would lower it",
+    "rest": "what light between surfaces and inside them leaves, or effects that are left out",
+}
+"""What a line is that binds, and what would lower it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a search has left that could still be made, where nothing that was made keeps a budget.
+
+    Attributes
+    ----------
+    rows
+        Those of the model that may be made; none where as many were as are made for a budget.
+    fits
+        Those that the bytes hold.
+    nearly
+        Relative L2 error that is tried for, infinite where none is asked for.
+    seconds
+        Until the last bake has to end; None where no time is asked for.
+    """
+
+    seen: Foreseen
+    rows: Bool[B8, " rows"]
+    fits: Bool[B8, " rows"]
+    nearly: float
+    seconds: float | None
+
+    @property
+    def within(self) -> Bool[B8, " rows"]:
+        """Those of the rows that are predicted to keep the error."""
+        return np.asarray(self.rows & (self.seen.errors <= self.nearly**2))
+
+
+def refusal(
+    model: BakeModel, budget: BakeBudget, told: Sequence[Told], left: Left
+) -> tuple[str, str]:
+    """Say which field cannot be kept, the best that can be, and what binds.
+
+    The error binds where no bake that was made keeps it and none that is left is predicted to; then
+    the bytes, where they hold none of these; the time where they do.
+    """
+    met = [one for one in told if budget.max_error is None or one.error <= budget.max_error]
+    if not met and not left.within.any():
+        return "max_error", _error_refused(model, budget, told, left)
+    within = left.within & left.fits
+    if left.seconds is not None and within.any():
+        needed = MARGIN * float(left.seen.seconds[within].min())
+        return (
+            "max_seconds",
+            f"{budget.max_seconds:g} s are too few: {floor(max(left.seconds, 0.0))} s are left for "
+            f"a bake, and the least that will do is predicted to take {ceil(needed)} s",
+        )
+    return "max_bytes", _bytes_refused(budget, told, met, left)
+
+
+def _bytes_refused(
+    budget: BakeBudget, told: Sequence[Told], met: Sequence[Told], left: Left
+) -> str:
+    asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
+    predicted = float(np.where(left.within, left.seen.sizes, np.inf).min())
+    measured = min((one.size for one in met), default=np.inf)
+    words = f"max_bytes is {budget.max_bytes}: the least that is possible{asked}"
+    if measured <= predicted:
+        return f"{words} was found to take {measured}, by {_of_all(told)}"
+    made = f", by {_of_all(told)}" if told else ""
+    return f"{words} is predicted to take {ceil(predicted)}{made}"
+
+
+def _of_all(told: Sequence[Told]) -> str:
+    return "the one that was made" if len(told) == 1 else f"the {len(told)} that were made"
+
+
+def _error_refused(model: BakeModel, budget: BakeBudget, told: Sequence[Told], left: Left) -> str:
+    max_error, seconds = budget.max_error or 0.0, budget.max_seconds
+    errors = np.where(left.rows, left.seen.errors, np.inf)
+    row = int(errors.argmin())
+    (part, line), best = left.seen.worst(row), float(np.sqrt(errors[row]))
+    how = "is predicted to be left"
+    nearest = min(told, key=lambda one: one.error, default=None)
+    if nearest is not None and nearest.error <= (1.0 + 1e-9) * best:
+        (part, line), best = nearest.worst(), nearest.error
+        how = f"was left, by the nearest of {len(told)}" if len(told) > 1 else "was left"
+    if not np.isfinite(best):
+        return (
+            f"an error of {max_error:.2%} cannot be met: nothing bounds what later bounces leave; "
+            "more bounce_rays or a finer mesh would lower it"
+        )
+    centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
+    why = "" if seconds is None else f" in {seconds:g} s"
+    words = LINES[line].format(centres=centres, fine=fine, why=why)
+    whose = f" of {model.names[part]}" if len(model.names) > 1 else ""
+    return (
+        f"an error of {max_error:.2%} cannot be met: at best {best:.2%} {how}{whose}, and the "
+        f"largest part of it is {words}"
+    )
