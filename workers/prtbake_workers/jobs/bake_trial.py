@@ -17,7 +17,7 @@ from prtbake_workers.jobs.plan import CPU_SECONDS, MEMORY_BYTES, arguments, plan
 from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
 from prtbake_workers.planning.bake_model import effects_left_out, sized
-from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE, NEARLY
+from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.ladder_steps import terms_at
 from prtbake_workers.planning.light_resolution import (
     HELD_OUT_RESOLUTION,
@@ -32,6 +32,7 @@ from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import PlannedBake, StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.sampled_transfer import MIXTURES
+from prtbake_workers.planning.trial_bounds import is_enough
 
 _MODULE = "prtbake_workers.jobs.bake_trial"
 
@@ -44,14 +45,8 @@ MOST_TERMS, TERM_STEP, COARSEST, FINEST = 126, 0.8, 0.5, 1e-5
 SMALLEST = {"n_centres": 12, "cube_resolution": 8}
 """Numbers that the scene is planned with for the trial, where the request gives none."""
 
-ENOUGH = 0.7
-"""Of the squared error that is aimed at: centres that leave less are enough."""
-
 TRIAL_SHARE = 0.1
 """Of the seconds that are asked for: centres that take longer to try are out of reach."""
-
-LEAST_LEFT = 1e-5
-"""Of transport, that is enough where no error is asked for."""
 
 
 def task(request: dict[str, Any], context: dict[str, Any], budget: BakeBudget) -> Task:
@@ -218,14 +213,13 @@ def _candidates(
         for count, fine in candidates(opened).items()
     }
     fewest = [min(terms) for terms in zip(*(o["terms"] for o in found["options"]), strict=True)]
-    enough = LEAST_LEFT if budget.max_error is None else ENOUGH * (AIM * budget.max_error) ** 2
     rates = Rates.from_dict(args.get("rates"))
     n_functions = VERTICES * min(MIXTURES, max(found["own"]["terms"]))
 
     def worth_trying(n_centres: int, before: Sequence[Candidate]) -> bool:
         if not before:
             return True
-        if min(one.error for one in before) <= enough:
+        if is_enough(found, before, budget.max_error):
             return False
         if budget.max_bytes is not None and sized(found, n_centres, fewest) > budget.max_bytes:
             return False

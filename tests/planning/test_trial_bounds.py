@@ -1,0 +1,50 @@
+"""When the trial of a lone bake has tried enough centres."""
+
+import pytest
+
+from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE
+from prtbake_workers.planning.light_resolution import Candidate
+from prtbake_workers.planning.trial_bounds import LEAST_LEFT, LITTLE, SURE, is_enough
+
+AIMED = (AIM * 0.1) ** 2
+
+
+def tried(*errors):
+    """A pair of 42 centres that leaves so much of each part."""
+    return [Candidate(42, 12, errors, errors)]
+
+
+def told(*losses, bounced=False, left_out=0.0):
+    """A trial whose options of terms lose so much of the first of two parts."""
+    options = [{"lost": [lost, 0.0]} for lost in losses]
+    return {"options": options, "left_out": left_out, "bounced": bounced}
+
+
+def test_what_terms_leave_counts_beside_what_centres_do():
+    """Terms that are given leave 4.5e-3 of the 9e-3 that are aimed at."""
+    assert not is_enough(told(4.5e-3), tried(6.0e-3, 1e-3), 0.1)
+    assert is_enough(told(4.5e-3), tried(3.0e-3, 1e-3), 0.1)
+    # more terms, where there are any to choose, make room for it
+    assert is_enough(told(4.5e-3, 1e-5), tried(6.0e-3, 1e-3), 0.1)
+    # what a part leaves is not added to what another does
+    assert is_enough(told(4.5e-3), tried(3.0e-3, 6.0e-3), 0.1)
+    assert not is_enough(told(4.5e-3), tried(3.0e-3, 6.4e-3), 0.1)
+
+
+@pytest.mark.parametrize("others", [{"bounced": True}, {"left_out": BOUNCE_SHARE * 0.01}])
+def test_bounces_and_effects_that_are_left_out_take_their_share(others):
+    room = SURE * (AIMED - BOUNCE_SHARE * 0.01)
+    assert is_enough(told(0.0, **others), tried(0.99 * room, 0.0), 0.1)
+    assert not is_enough(told(0.0, **others), tried(1.01 * room, 0.0), 0.1)
+    assert is_enough(told(0.0), tried(1.01 * room, 0.0), 0.1)
+
+
+def test_centres_that_leave_next_to_nothing_are_enough_whatever_the_rest_does():
+    """More of them would not help."""
+    assert is_enough(told(1.05 * AIMED), tried(0.9 * LITTLE * AIMED, 0.0), 0.1)
+    assert not is_enough(told(1.05 * AIMED), tried(1.1 * LITTLE * AIMED, 0.0), 0.1)
+
+
+def test_without_an_error_they_are_enough_where_they_leave_hardly_anything():
+    assert is_enough(told(0.5), tried(0.9 * LEAST_LEFT, 0.0), None)
+    assert not is_enough(told(0.0), tried(1.1 * LEAST_LEFT, 0.0), None)
