@@ -150,6 +150,23 @@ def test_terms_and_bounces_share_an_error(store):
     assert account_of(lines)["binds"] == "later bounces"
 
 
+def test_a_black_receiver_shows_no_error_and_decides_nothing(store):
+    """It catches shadows that nothing shows; its transfer is baked all the same, and errs."""
+    black = {"resolution": 8, "albedo": 0.0}
+    request = normal({"max_error": 0.12}, receiver=black, effects=NO_BOUNCES)
+    results, done = finished(store, request, begun(store, request))
+    search = done.result["search"]
+    assert search["part"] == "object"
+    assert search["error"] <= 0.12
+    assert not any(search["lines"]["receiver"].values())
+    stored = done.result["errors"]["bake"]["receiver in other directions"]
+    assert stored > 1e-3
+    # the twin: the same numbers of a grey one, which shows what its transfer errs by
+    plan = search_of(request, begun(store, request)).delivered(results)
+    plan["plan"][0]["black"] = [False, False]
+    assert lines_of(plan)["receiver"]["directions and functions"] == stored
+
+
 def test_terms_that_no_number_of_them_mends_are_refused_and_named(store):
     sharp = {"model": "ggx", "alpha": 0.1}
     request = normal({"max_error": 0.1}, brdf=sharp, receiver=None)

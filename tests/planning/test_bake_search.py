@@ -1,5 +1,6 @@
 """Decisions of a search for a bake, on scenes whose errors, bytes and seconds are made up."""
 
+from dataclasses import replace
 from math import ceil, sqrt
 
 import numpy as np
@@ -48,6 +49,22 @@ def test_sizes_are_those_of_the_trial_where_it_knows_them():
     row = model.choices.index((12, 8, 2))
     assert model.foreseen(None, 0.0).sizes[row] == sized(known, 12, [4, 1])
     assert sized(known, 42, [4, 1]) > 2 * sized(known, 12, [4, 1]) - 20_000
+
+
+def test_what_was_predicted_to_leave_nothing_is_taken_to_leave_what_it_does():
+    """A part that the trial did not see, and terms of which none are left."""
+    known = trial(scales=(1.0, 0.0))
+    known["options"][-1]["lost"] = [0.0, 0.0]
+    model = BakeModel(known)
+    numbers = model.numbers(model.choices.index((42, 24, 5)), 0.0)
+    one = made(model, numbers, off=1.2)
+    told = replace(one, projection=(one.projection[0], 0.05), terms=(1e-6, 0.0))
+    before, after = model.foreseen(None, 0.0), model.foreseen(told, 0.0)
+    assert after.projection[:, 0] == pytest.approx(1.2 * before.projection[:, 0])
+    assert (after.projection[:, 1] == 0.05).all()
+    # fewer terms still leave more
+    assert after.terms[:, 0] == pytest.approx(np.maximum(before.terms[:, 0], 1e-6))
+    assert after.worst(model.choices.index((642, 48, 5))) == (1, "projection")
 
 
 @settings(deadline=None, max_examples=60)

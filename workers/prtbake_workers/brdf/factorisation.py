@@ -93,6 +93,11 @@ class Factorisation(ABC):
         """What multiplies every colour of a part: phi where it is a constant, else one."""
 
     @property
+    def is_black(self) -> bool:
+        """Whether a part reflects nothing: then nothing that befalls its light is seen."""
+        return not self.albedo.any()
+
+    @property
     @abstractmethod
     def _psi(self) -> SideTable:
         """The light side."""

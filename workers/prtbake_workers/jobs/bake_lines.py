@@ -28,7 +28,8 @@ def lines_of(results: Results) -> Lines:
 
     Terms are over the BRDF's norm, the projection and its 16 bits over the direct transport,
     bounces and scattering over the transport with them; effects that planning left out are those
-    that it predicts to cost most on any part.  A line that nothing bounds is infinite.
+    that it predicts to cost most on any part.  A line that nothing bounds is infinite; those of
+    black parts are nothing, as nothing of them is seen.
     """
     (planned,) = results["plan"]
     plan = planned["plan"]
@@ -49,7 +50,8 @@ def lines_of(results: Results) -> Lines:
                 lines[line] = bounced[f"{name} {label}"]
         if _unbounded(results, plan, index):
             lines[OF_BOUNCES["left out"]] = inf
-        found[name] = {line: float(error) for line, error in lines.items()}
+        black = planned["black"][index]
+        found[name] = {line: 0.0 if black else float(error) for line, error in lines.items()}
     return found
 
 

@@ -426,6 +426,7 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 planned.header["parts"], planned.factorisations, strict=True
             )
         },
+        "black": [own.is_black for own in planned.factorisations],
         "condition": basis.condition,
         "transfer": {
             "basis": basis.stored.kind,

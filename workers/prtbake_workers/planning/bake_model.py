@@ -192,8 +192,8 @@ class BakeModel:
         # starting processes and multiplying may be off by different factors: none is counted on
         seconds = max(1.0, float(_off_by(told.seconds or 0.0, float(self._seconds[at]))))
         return Foreseen(
-            self._projection * _off_by(np.array(told.projection), self._projection[at]),
-            self._terms * _off_by(np.array(told.terms), self._terms[at]),
+            _corrected(self._projection, np.array(told.projection), at),
+            _corrected(self._terms, np.array(told.terms), at),
             np.where(np.isfinite(told.rest), np.multiply(told.rest, scale), assumed),
             self._sizes * (told.size / self._sizes[at]),
             self._seconds * seconds,
@@ -305,6 +305,18 @@ def _curves(candidates: Sequence[Mapping[str, Any]]) -> dict[int, dict[int, F64]
         errors = np.where(between > np.log(2.0 * TINY), np.exp(between), 0.0)
         found[n_centres] = dict(zip(fine.tolist(), errors, strict=True))
     return found
+
+
+def _corrected(
+    predicted: Float64[F64, "rows parts"], measured: Float64[F64, " parts"], at: int
+) -> Float64[F64, "rows parts"]:
+    """Correct predictions of all rows by what was measured of one of them.
+
+    Nothing that was predicted is off by no factor: there, all are taken to leave what was measured,
+    at least.
+    """
+    unforeseen = np.where(predicted[at] > 0.0, 0.0, measured)
+    return np.asarray(np.maximum(predicted * _off_by(measured, predicted[at]), unforeseen))
 
 
 def _off_by(measured: Any, predicted: Any) -> Any:

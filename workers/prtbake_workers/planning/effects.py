@@ -167,7 +167,7 @@ def _probe_parts(
     return _Probed(
         # what nothing reflects is no error
         ratio=max(
-            0.0 if _is_black(factorisations[part]) else ratio
+            0.0 if factorisations[part].is_black else ratio
             for part, (ratio, _, _) in zip(parts, found, strict=True)
         ),
         share=sum(share * count for _, share, count in found) / rays,
@@ -176,11 +176,6 @@ def _probe_parts(
         if len(parts) > 1
         else {},
     )
-
-
-def _is_black(factorisation: Factorisation) -> bool:
-    """Tell whether a part reflects nothing: then nothing that befalls its light is seen."""
-    return not factorisation.albedo.any()
 
 
 def _of_role(roles: Sequence[Role], role: Role) -> list[int]:
@@ -204,7 +199,7 @@ def _self_shadowing(
     own = Accelerator(shape.positions, shape.faces)
     parts = _of_role(roles, "object")
     found = _probe_parts(scene, own, parts, names, factorisations, seed)
-    black = all(_is_black(factorisations[part]) for part in parts)
+    black = all(factorisations[part].is_black for part in parts)
     convex = watertight and defect <= CONVEX_TOLERANCE and found.share == 0.0
     # a probe can miss shadows that are deep where they fall; this bound holds at every point
     most = float("inf")

@@ -220,7 +220,7 @@ def _probed(
     rng: np.random.Generator,
 ) -> list[SampledTransfer]:
     """Draw the vertices that are looked at, none of black parts."""
-    seen = [bool(own.albedo.any()) for own in factorisations]
+    seen = [not own.is_black for own in factorisations]
     count = _vertices_of_a_part(bake, max(1, sum(seen)))
     return [
         SampledTransfer.of(
