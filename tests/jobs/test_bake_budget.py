@@ -6,17 +6,22 @@ from math import inf, sqrt
 
 import pytest
 
+from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_storage.contract.jobs import job_request_adapter
+from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
-from prtbake_workers.jobs import leaving
+from prtbake_workers.jobs import bake_trial, leaving
 from prtbake_workers.jobs.bake_lines import account_of, lines_of
 from prtbake_workers.jobs.bake_trial import trial_flops
 from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
+from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.planning.bake_model import sized
 from prtbake_workers.planning.bake_search import WINDOW
+from prtbake_workers.planning.presets import StageSettings
 from support.local_stages import registered, run_stage, run_stages
 from support.scenes import GLOSSY, NO_RESOURCE
 
@@ -209,6 +214,29 @@ def test_bytes_are_kept_and_no_more_centres_would_fit(store):
         assert done.result["bytes"]["transfer.h5"] <= asked
         (taken,) = (one for one in done.result["search"]["attempts"] if one["taken"])
         assert taken["name"] == f"{centres} centres, 6 x 12^2 directions"
+
+
+def test_a_trial_foretells_the_bytes_of_a_plan_with_other_numbers(store):
+    """Tables of few vertices weigh as much as what is baked: at K = 1, 40 and 126."""
+    request = normal({"max_bytes": 10**9}, brdf=GLOSSY, receiver=None)
+    context = begun(store, request, "icosphere", 1)
+    budget = BakeBudget(max_bytes=10**9)
+    few = request | {"settings": {"cube_resolution": 5}}
+    trial = bake_trial.tried(bake_trial.task(few, context, budget).args, store)
+    for terms, centres in ((1, 12), (40, 42), (126, 42)):
+        bake = BakeSettings(n_terms=terms, n_centres=centres, cube_resolution=24)
+        args = arguments(request, context, StageSettings.for_bake(bake), "medium")
+        planned, plan = plan_scene(args, store)
+        (made,) = (own.n_terms for own in planned.factorisations)
+        known = plan.artefact_bytes["transfer.h5"]
+        # a table of one term packs less well than that of sixteen, by a quarter of 3 kB
+        assert sized(trial, centres, [made]) == pytest.approx(known, rel=0.03)
+        # and the twin, whose tables are those of the trial
+        frozen = trial | {
+            "parts": [part | {"term_bytes": 0.0} for part in trial["parts"]],
+            "fixed_bytes": trial["fixed_bytes"] + 16 * trial["parts"][0]["term_bytes"],
+        }
+        assert sized(frozen, centres, [made]) != pytest.approx(known, rel=0.1)
 
 
 def test_bytes_that_no_bake_fits_into_are_refused_with_the_least(store):

@@ -198,6 +198,24 @@ def test_bytes_are_never_exceeded_and_no_better_bake_would_fit(asked, size_off):
     assert best.error <= 1.04 * sqrt(seen.errors[fitting].min(initial=np.inf) + 2e-5)
 
 
+@pytest.mark.parametrize("more", [{}, {"max_error": 0.2}])
+def test_a_prediction_that_is_above_the_bytes_by_less_than_a_tenth_is_tried(more):
+    """It takes a tenth less than was foretold, and is what is delivered."""
+    model = model_of()
+    seen = model.foreseen(None, 0.0)
+    within = seen.errors <= (1.1 * more.get("max_error", np.inf)) ** 2
+    least = float(seen.sizes[within].min())
+    budget = BakeBudget(max_bytes=round(0.92 * least), **more)
+    first = choose(model, budget, [], left=None, tolerance=1e-3)
+    assert seen.sizes[model.row(first.numbers)] == least
+    told, choice = searched(model, budget, size_off=0.9)
+    if not more:
+        assert choice.refused is None
+        assert told[delivered(model, budget, told)].size <= budget.max_bytes
+    tight = BakeBudget(max_bytes=round(0.9 * least), **more)
+    assert choose(model, tight, [], left=None, tolerance=1e-3).refused[0] == "max_bytes"
+
+
 def test_bytes_below_all_bakes_are_refused_with_the_least():
     model = model_of()
     field, why = choose(model, BakeBudget(max_bytes=1000), [], left=None, tolerance=1e-3).refused

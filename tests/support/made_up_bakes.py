@@ -15,8 +15,22 @@ def trial(*, glossy=True, bounced=False, scales=(1.0, 0.3)):
     terms = [1, 2, 4, 8, 16, 32] if glossy else [1]
     return {
         "parts": [
-            {"name": "a", "n_verts": 2000, "shadows": True, "even": False, "scattered": False},
-            {"name": "b", "n_verts": 400, "shadows": True, "even": True, "scattered": False},
+            {
+                "name": "a",
+                "n_verts": 2000,
+                "shadows": True,
+                "even": False,
+                "scattered": False,
+                "term_bytes": 300.0,
+            },
+            {
+                "name": "b",
+                "n_verts": 400,
+                "shadows": True,
+                "even": True,
+                "scattered": False,
+                "term_bytes": 0.0,
+            },
         ],
         "n_channels": 1,
         "own": {"n_centres": 12, "terms": [4 if glossy else 1, 1]},

@@ -18,6 +18,7 @@ from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
 from prtbake_workers.planning.bake_model import effects_left_out, sized
 from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
+from prtbake_workers.planning.file_bytes import term_bytes
 from prtbake_workers.planning.ladder_steps import terms_at
 from prtbake_workers.planning.light_resolution import (
     HELD_OUT_RESOLUTION,
@@ -102,6 +103,7 @@ def tried(args: dict[str, Any], store: BlobStore) -> dict[str, Any]:
                 "shadows": bool(part.occluders),
                 "even": part.role == "receiver" or not part.occluders,
                 "scattered": plan.bounces is not None and index in plan.bounces.scattering,
+                "term_bytes": term_bytes(planned.factorisations[index]),
             }
             for index, part in enumerate(plan.parts)
         ],

@@ -15,7 +15,12 @@ import numpy as np
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.planning.bounce_rays import NOISE_SHARE
 from prtbake_workers.planning.cost import TILE_SECONDS, bake_seconds_per_vertex
-from prtbake_workers.planning.file_bytes import KnownBytes, PartNumbers, transfer_bytes
+from prtbake_workers.planning.file_bytes import (
+    CENTRE_BYTES,
+    KnownBytes,
+    PartNumbers,
+    transfer_bytes,
+)
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.stage_work import bake_work, total
 from prtbake_workers.transport.ray_pilot import FALL, FEWEST
@@ -263,7 +268,9 @@ def sized(trial: Mapping[str, Any], n_centres: int, terms: Sequence[int]) -> int
         for part, n_terms in zip(trial["parts"], terms, strict=True)
     ]
     fixed: int = trial["fixed_bytes"]
-    return fixed + transfer_bytes(KnownBytes(0, {}, ()), numbers)
+    tables = sum(part["term_bytes"] * k for part, k in zip(trial["parts"], terms, strict=True))
+    grown: int = round(tables + CENTRE_BYTES * n_centres)
+    return fixed + grown + transfer_bytes(KnownBytes(0, {}, ()), numbers)
 
 
 def effects_left_out(effects: Sequence[Mapping[str, Any]]) -> float:

@@ -25,7 +25,8 @@ BOUNCE_SHARE, MOST_REST = 0.1, 0.3
 the most that all but terms and projection may take before their tolerance is lowered."""
 
 NEARLY = 1.1
-"""Times the error: the best there is, tried before it is refused while nothing was measured."""
+"""Times what is asked for of error and bytes: the best there is, tried before it is refused while
+nothing was measured."""
 
 FIRST_SIZE, LATER_SIZE = 0.97, 0.995
 """Of bytes that are asked for, aimed at before a file was written and after."""
@@ -125,11 +126,18 @@ def choose(
             return Choice(model.numbers(row, aimed))
     if best is not None:
         return Choice(None)
-    nearly = np.inf if asked is None else _nearly(asked, told)
-    return Choice(
-        None,
-        refusal(model, budget, told, Left(seen, rows, _in_size(budget, seen), nearly, left)),
+    rest = Left(
+        seen,
+        rows,
+        _in_size(budget, seen, LATER_SIZE if told else NEARLY),
+        np.inf if asked is None else _nearly(asked, told),
+        left,
     )
+    # while nothing was measured, what is predicted to take a little more may fit
+    row = _least(seen.sizes, rest.within & rest.fits & _in_time(seen, left))
+    if row is not None:
+        return Choice(model.numbers(row, aimed))
+    return Choice(None, refusal(model, budget, told, rest))
 
 
 def _untried(model: BakeModel, told: Sequence[Told], tolerance: float) -> Bool[B8, " rows"]:

@@ -169,6 +169,16 @@ def least_bytes(mesh: Sequence[NDArray[Any]], faces: I32) -> int:
     return round(SURE_SHARE * (known_bytes(mesh, faces, (), (), ()).asset[16] - PROVENANCE_BYTES))
 
 
+def term_bytes(factorisation: Factorisation) -> float:
+    """Give the packed bytes of tables that a term takes: all but the values, listed whole."""
+    tables = [
+        packed_bytes(np.atleast_1d(one))
+        for name, one in factorisation.tables().items()
+        if isinstance(one, np.ndarray) and name != "singular_values"
+    ]
+    return sum(tables) / factorisation.n_terms
+
+
 def texture_side(factorisation: Factorisation) -> int:
     """Foresee the resolution that `fit_view_texture` comes to, from the error of the coarsest."""
     sampled = view_texture(factorisation, SMALLEST, supersample=1)
