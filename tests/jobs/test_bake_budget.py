@@ -180,6 +180,26 @@ def test_terms_that_no_number_of_them_mends_are_refused_and_named(store):
     assert raised.value.pointer == "/budget/max_error"
 
 
+def test_a_lobe_that_few_terms_hold_little_of_gets_the_most_that_are_chosen(store, monkeypatch):
+    """Where half of its energy takes more terms, their number is what the bake is asked for."""
+    monkeypatch.setattr(bake_trial, "MOST_TERMS", 20)
+    sharp = {"model": "ggx", "alpha": 0.1}
+    given = {"n_centres": 12, "cube_resolution": 8}
+    request = normal({"max_bytes": 10**8}, brdf=sharp, receiver=None, settings=given)
+    context = begun(store, request, "icosphere", 1)
+    results, done = finished(store, request, context)
+    (option,) = results["trial"][0]["options"]
+    assert (option["n_terms"], option["term_energy_lost"]) == (20, None)
+    own = results["plan 1"][0]
+    assert own["settings"]["bake"]["n_terms"] == 20
+    # a pair that belongs together is not split
+    assert own["plan"]["parts"][0]["n_terms"] in (19, 20)
+    (attempt,) = done.result["search"]["attempts"]
+    assert attempt["name"].endswith(", 20 terms")
+    size = sized(results["trial"][0], 12, option["terms"])
+    assert attempt["bytes"] == pytest.approx(size, rel=0.1)
+
+
 def test_an_error_out_of_reach_is_refused_with_the_best_and_the_line(store):
     given = {"n_centres": 42, "cube_resolution": 12}
     request = normal({"max_error": 0.02}, settings=given, effects=NO_BOUNCES)

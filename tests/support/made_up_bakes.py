@@ -43,6 +43,7 @@ def trial(*, glossy=True, bounced=False, scales=(1.0, 0.3)):
         "options": [
             {
                 "term_energy_lost": 0.5 / k**1.5 if glossy else None,
+                "n_terms": None,
                 "terms": [k, 1],
                 "lost": [0.45 / k**1.5 if glossy else 0.0, 0.0],
             }

@@ -167,6 +167,8 @@ class BakeSearch:
         }
         if numbers.term_energy_lost is not None:
             fields["term_energy_lost"] = numbers.term_energy_lost
+        if numbers.n_terms is not None:
+            fields["n_terms"] = numbers.n_terms
         if self._budget.max_error is not None:
             tolerance = numbers.bounce_tolerance
             fields |= {"bounce_tolerance": tolerance, "subsurface_tolerance": tolerance}
@@ -316,4 +318,5 @@ class BakeSearch:
 def _named(numbers: Numbers) -> str:
     terms = numbers.term_energy_lost
     less = "" if terms is None else f", terms that lose at most {terms:.2g}"
+    less += "" if numbers.n_terms is None else f", {numbers.n_terms} terms"
     return f"{numbers.n_centres} centres, 6 x {numbers.cube_resolution}^2 directions{less}"

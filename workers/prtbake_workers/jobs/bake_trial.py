@@ -162,11 +162,14 @@ def _bounces(plan: Plan) -> dict[str, Any]:
 def _options(
     planned: PlannedScene, plan: Plan, bake: PlannedBake, given: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """List numbers of terms: what share may be lost, terms and losses of each part."""
+    """List numbers of terms: what share may be lost or how many, terms and losses of each part.
+
+    Neither is named where the request or the BRDFs leave nothing to choose.
+    """
     own = [part.n_terms for part in plan.parts]
     taken = {one.effect: one for one in plan.effects}["view_dependence"]
     lost = [factorisation.energy_lost for factorisation in planned.factorisations]
-    fixed = {"term_energy_lost": None, "terms": own, "lost": lost}
+    fixed = {"term_energy_lost": None, "n_terms": None, "terms": own, "lost": lost}
     constant = all(own.is_constant_phi for own in planned.factorisations)
     if constant or _own_terms(given) or (taken.forced and not taken.taken):
         return [fixed]
@@ -177,14 +180,19 @@ def _options(
         asked = bake.model_copy(update={"n_terms": None, "term_energy_lost": share})
         terms = tuple(terms_at(1, values, asked, view_dependent=True) for values in spectra)
         if max(terms) <= MOST_TERMS and terms not in found:
-            found[terms] = {
-                "term_energy_lost": share,
-                "terms": list(terms),
-                "lost": [_left(values, k) for values, k in zip(spectra, terms, strict=True)],
-            }
+            found[terms] = {"term_energy_lost": share, "n_terms": None} | _lost(spectra, terms)
         share *= TERM_STEP
-    # where all that may be lost takes more terms than there are, as many as there are
-    return list(found.values()) or [fixed]
+    if not found:
+        # the coarsest share takes more terms than are chosen
+        asked = bake.model_copy(update={"n_terms": MOST_TERMS})
+        terms = tuple(terms_at(1, values, asked, view_dependent=True) for values in spectra)
+        return [{"term_energy_lost": None, "n_terms": MOST_TERMS} | _lost(spectra, terms)]
+    return list(found.values())
+
+
+def _lost(spectra: Sequence[Any], terms: Sequence[int]) -> dict[str, Any]:
+    lost = [_left(values, k) for values, k in zip(spectra, terms, strict=True)]
+    return {"terms": list(terms), "lost": lost}
 
 
 def _left(values: Any, n_terms: int) -> float:

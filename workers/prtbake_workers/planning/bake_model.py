@@ -47,12 +47,13 @@ LINES = ("projection", "terms", "rest")
 
 @dataclass(frozen=True)
 class Numbers:
-    """What a budget chooses: None of ``term_energy_lost`` where terms are not its to choose."""
+    """What a budget chooses: terms by the share that they lose or by number, if at all."""
 
     n_centres: int
     cube_resolution: int
     term_energy_lost: float | None
     bounce_tolerance: float
+    n_terms: int | None = None
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,12 @@ class BakeModel:
             for place in range(len(options))
         ]
         self._row_of = {
-            (n_centres, resolution, options[place]["term_energy_lost"]): row
+            (
+                n_centres,
+                resolution,
+                options[place]["term_energy_lost"],
+                options[place]["n_terms"],
+            ): row
             for row, (n_centres, resolution, place) in enumerate(self.choices)
         }
         self._options = options
@@ -174,12 +180,18 @@ class BakeModel:
         """Give the numbers of a row."""
         n_centres, resolution, place = self.choices[row]
         return Numbers(
-            n_centres, resolution, self._options[place]["term_energy_lost"], float(tolerance)
+            n_centres,
+            resolution,
+            self._options[place]["term_energy_lost"],
+            float(tolerance),
+            self._options[place]["n_terms"],
         )
 
     def row(self, numbers: Numbers) -> int:
         """Find the row of some numbers."""
-        return self._row_of[numbers.n_centres, numbers.cube_resolution, numbers.term_energy_lost]
+        return self._row_of[
+            numbers.n_centres, numbers.cube_resolution, numbers.term_energy_lost, numbers.n_terms
+        ]
 
     def foreseen(self, told: Told | None, tolerance: float) -> Foreseen:
         """Predict all rows where bounces are traced to a tolerance, as a bake before corrects it.
