@@ -2,6 +2,7 @@
 
 import copy
 import time
+from dataclasses import replace
 from math import inf, sqrt
 
 import pytest
@@ -19,9 +20,13 @@ from prtbake_workers.jobs.budget import search_of
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.plan import arguments, plan_scene
 from prtbake_workers.jobs.registry import REGISTRY
-from prtbake_workers.planning.bake_model import sized
+from prtbake_workers.jobs.search_stages import BAKE
+from prtbake_workers.jobs.work import wall_seconds
+from prtbake_workers.planning.bake_model import BakeModel, sized
 from prtbake_workers.planning.bake_search import WINDOW
+from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.time_search import MARGIN
 from support.local_stages import registered, run_stage, run_stages
 from support.scenes import GLOSSY, NO_RESOURCE
 
@@ -349,7 +354,24 @@ def test_tasks_of_a_timed_bake_leave_in_time(timed):
     tasks = stages["bake 1"].tasks(planned)
     assert tasks
     ends = context["started"] + SECONDS
-    assert all(context["started"] < task.args["when"] < ends for task in tasks)
+    report = wall_seconds({"report": REPORT_WORK}, context, ["report"])
+    assert max(task.args["when"] for task in tasks) == pytest.approx(ends - MARGIN * report)
+    assert all(context["started"] < task.args["when"] for task in tasks)
+
+
+def test_a_slow_bake_keeps_more_for_the_report(timed):
+    """What it took over its prediction is what the report may take over its own."""
+    request, context, results, *_ = timed
+    search = search_of(request, context)
+    model = BakeModel(results["trial"][0], lambda work: wall_seconds(work, context, BAKE))
+    first = search.trail(results).told[0]
+    predicted = model.foreseen(None, 0.0).seconds[model.row(first.numbers)]
+
+    def kept(off):
+        return search.rest_seconds(model, [replace(first, seconds=off * predicted)])
+
+    assert kept(3.0) == pytest.approx(3.0 * search.rest_seconds(model, []))
+    assert kept(0.5) == kept(1.0) == search.rest_seconds(model, [])
 
 
 def test_the_estimate_is_of_the_first_bake(met, store):

@@ -21,6 +21,7 @@ from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
 from prtbake_workers.planning.error_search import WINDOW
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from prtbake_workers.report.account import pooled_budget
 from support.budgeted import LEFT_OPEN, begun, normal
 from support.local_stages import run_stage, run_stages
@@ -169,7 +170,9 @@ def test_tasks_leave_when_their_time_is_out(store):
     (stage,) = [s for s in REGISTRY.stages("asset", request, context) if s.name == "plan 1"]
     results = Results()
     run_stage(
-        limit(Stage("a", "", 1.0, lambda _: stage.tasks(Results())), lambda _: 0.0), results, store
+        limit(Stage("a", "", 1.0, lambda _: stage.tasks(Results())), lambda _: 0.0, context),
+        results,
+        store,
     )
     assert results["a"] == [leaving.LATE]
     began = time.time()
@@ -177,8 +180,29 @@ def test_tasks_leave_when_their_time_is_out(store):
     def napping(_):
         return [Task("prtbake_workers.jobs.clock:look", {"started": began, "place": "nap"})]
 
-    run_stage(limit(Stage("b", "", 1.0, napping), lambda _: began + 60.0), results, store)
+    run_stage(limit(Stage("b", "", 1.0, napping), lambda _: began + 60.0, context), results, store)
     assert results["b"][0]["elapsed"] >= 0.0
+
+
+def test_a_task_that_starts_late_imports_nothing(store):
+    """Sixty tiles may be left, and an import takes most of a second."""
+    args = {"function": "prtbake_workers.jobs.nowhere:run", "args": {}}
+    with store.scratch() as scratch:
+        context = TaskContext(store, scratch, lambda _: None)
+        assert leaving.run(args | {"when": time.time()}, context) == leaving.LATE
+        with pytest.raises(ModuleNotFoundError):
+            leaving.run(args | {"when": time.time() + 60.0}, context)
+
+
+@pytest.mark.parametrize(("slots", "starts"), [(None, [4, 3, 2, 1, 0]), (2, [2, 1, 1, 0, 0])])
+def test_tasks_leave_early_enough_for_those_after_them_to_start(slots, starts):
+    """The last in every slot has all of the time."""
+    tasks = [clock.task(0.0, str(place)) for place in range(5)]
+    context = {} if slots is None else {"tile_slots": slots}
+    stage = limit(Stage("a", "", 1.0, lambda _: tasks), lambda _: 100.0, context)
+    ends = [task.args["when"] for task in stage.tasks(Results())]
+    assert ends == [100.0 - BETWEEN_STAGES_S * after for after in starts]
+    assert limit(stage, lambda _: None, context).tasks(Results()) == stage.tasks(Results())
 
 
 class Stubborn:

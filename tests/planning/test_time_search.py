@@ -10,6 +10,7 @@ from prtbake_workers.planning.time_search import (
     Measured,
     Step,
     choose_step,
+    kept_for,
     predicted_seconds,
     samples_for,
 )
@@ -22,6 +23,12 @@ TWICE = Measured(5.0, 10.0, 1.0, 2.0)
 def test_predictions_go_by_what_an_attempt_took():
     assert predicted_seconds(STEPS[1], AS_PREDICTED) == pytest.approx((MARGIN * 25, MARGIN * 3))
     assert predicted_seconds(STEPS[1], TWICE) == pytest.approx((MARGIN * 50, MARGIN * 6))
+
+
+def test_what_is_kept_for_the_end_goes_by_a_slow_machine_and_not_by_a_quick_one():
+    assert kept_for(3.0) == kept_for(3.0, off=0.5) == pytest.approx(MARGIN * 3)
+    assert kept_for(3.0, off=2.0) == pytest.approx(MARGIN * 6)
+    assert predicted_seconds(STEPS[1], TWICE)[1] == kept_for(3.0, off=2.0)
 
 
 def test_the_highest_step_that_fits_is_chosen():

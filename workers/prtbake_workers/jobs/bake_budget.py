@@ -5,6 +5,7 @@ One is baked; what it says of itself corrects the predictions, and another is ba
 not keep the budget, or leaves more of it than it need.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 from typing import Any, NoReturn
@@ -30,6 +31,7 @@ from prtbake_workers.planning.bake_model import BakeModel, Numbers, Told, Work
 from prtbake_workers.planning.bake_search import MOST_BAKES, choose, delivered, meets
 from prtbake_workers.planning.later_stages import REPORT_WORK
 from prtbake_workers.planning.presets import StageSettings
+from prtbake_workers.planning.time_search import kept_for, off_by
 
 MOST_BOUNCES = 16
 """Where an error decides how much the last may add: where few rays make bounces grow, as between
@@ -95,7 +97,7 @@ class BakeSearch:
                 model,
                 self._budget,
                 trail.told,
-                left=self._left(elapsed),
+                left=self._left(elapsed, model, trail.told),
                 tolerance=self._tolerance,
             )
             trail.delivered = delivered(model, self._budget, trail.told)
@@ -139,15 +141,20 @@ class BakeSearch:
         looked = results.get(stage)
         return float(looked[0]["elapsed"]) if looked else None
 
-    def _left(self, elapsed: float) -> float | None:
+    def _left(self, elapsed: float, model: BakeModel, told: Sequence[Told]) -> float | None:
         if self._budget.max_seconds is None:
             return None
-        return self._budget.max_seconds - elapsed - self._rest
+        return self._budget.max_seconds - elapsed - self.rest_seconds(model, told)
 
-    @property
-    def _rest(self) -> float:
-        """Predict what comes after the search."""
-        return wall_seconds({"report": REPORT_WORK}, self._context, ["report"])
+    def rest_seconds(self, model: BakeModel, told: Sequence[Told]) -> float:
+        """Say what is kept for the report, by what the last bake took over its prediction."""
+        rest = wall_seconds({"report": REPORT_WORK}, self._context, ["report"])
+        if not told:
+            return kept_for(rest)
+        last = told[-1]
+        seen = model.foreseen(None, last.numbers.bounce_tolerance)
+        predicted = float(seen.seconds[model.row(last.numbers)])
+        return kept_for(rest, off_by(last.seconds or 0.0, predicted))
 
     def _refuse(self, name: str, why: str) -> NoReturn:
         raise SettingsError(why, pointer=f"/budget/{name}")
@@ -186,7 +193,8 @@ class BakeSearch:
         """
         args = bake_trial.task(self._request, self._context, self._budget).args
         model = self._model(bake_trial.tried(args, store))
-        choice = choose(model, self._budget, [], left=self._left(0.0), tolerance=self._tolerance)
+        left = self._left(0.0, model, [])
+        choice = choose(model, self._budget, [], left=left, tolerance=self._tolerance)
         if choice.refused is not None:
             self._refuse(*choice.refused)
         if choice.numbers is None:
@@ -232,13 +240,13 @@ class BakeSearch:
             return self._made[numbers][model.name].tasks(attempt_view(results, attempt))
 
         stage = Stage(numbered(model.name, attempt), model.unit, model.weight, tasks)
-        return limit(stage, lambda _: self._until())
+        return limit(stage, self._until, self._context)
 
-    def _until(self) -> float | None:
+    def _until(self, results: Results) -> float | None:
         if self._budget.max_seconds is None:
             return None
-        started = float(self._context.get("started", 0.0))
-        return started + self._budget.max_seconds - self._rest
+        rest = self.rest_seconds(self._model(results["trial"][0]), self.trail(results).told)
+        return float(self._context.get("started", 0.0)) + self._budget.max_seconds - rest
 
     def _clock(self, name: str, attempt: int | None) -> Stage:
         def look(results: Results) -> list[Task]:

@@ -36,6 +36,7 @@ from prtbake_workers.jobs.search_stages import (
 from prtbake_workers.jobs.shared_stages import attempted
 from prtbake_workers.jobs.work import asset_work, wall_seconds
 from prtbake_workers.planning.error_search import MOST_COMPRESSIONS
+from prtbake_workers.planning.time_search import kept_for
 
 MOST_SAMPLES = 16384
 """Light samples a pixel and pass that the validation is given, where the request says nothing."""
@@ -89,7 +90,7 @@ class ErrorSearch:
         )
         # the first plan says whether there is time at all
         first, *others = [*listed, *mended]
-        limited = [first, *(limit(stage, self._until) for stage in others)]
+        limited = [first, *(limit(stage, self._until, self.context) for stage in others)]
         return [*limited[:-2], self._validation(0), *limited[-2:], self._validation(1), rendered]
 
     def _until(self, results: Results) -> float | None:
@@ -104,14 +105,15 @@ class ErrorSearch:
         return float(self.context.get("started", 0.0)) + seconds - rest
 
     def rest_seconds(self, results: Results) -> float:
-        """Predict what previews, validation and report take after the search."""
+        """Say what is kept for previews, validation and report after the search."""
         trail = self._decisions.trail(results)
         planned = results["plan 1"][0]["plan"]
         settings = replace(
             self.rungs[trail.rung].settings,
             validation=self._validate_settings(results, trail),
         )
-        return wall_seconds(asset_work(planned, settings, self.context), self.context, AFTER)
+        work = asset_work(planned, settings, self.context)
+        return kept_for(wall_seconds(work, self.context, AFTER))
 
     def _stages_of_bytes(self) -> list[Stage]:
         """List the attempts at all bytes: of the bake that is settled on, and of a finer one."""

@@ -11,7 +11,8 @@ from typing import Any, NoReturn
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import leaving
-from prtbake_workers.jobs.work import wall_seconds
+from prtbake_workers.jobs.work import slots_of, wall_seconds
+from prtbake_workers.planning.rates import BETWEEN_STAGES_S
 from prtbake_workers.report.account import pooled_budget
 
 BAKE = ("plan", "bake", "scattering", "bounces", "add_bounces", "join")
@@ -104,13 +105,26 @@ def is_late(results: Results) -> bool:
     return any(value.get("late") for name in results for value in results[name])
 
 
-def limit(stage: Stage, until: Callable[[Results], float | None]) -> Stage:
-    """Make the tasks of a stage leave when ``until`` says; None lets them take their time."""
+def limit(
+    stage: Stage, until: Callable[[Results], float | None], context: Mapping[str, Any]
+) -> Stage:
+    """Make the tasks of a stage leave when ``until`` says; None lets them take their time.
+
+    A task that starts late still starts: those before it leave earlier by as much, as they start
+    one after another in the slots of the job's ``context``.
+    """
+    slots = slots_of(context)
 
     def tasks(results: Results) -> list[Task]:
         listed = stage.tasks(results)
         when = until(results) if listed else None
-        return listed if when is None else [leaving.until(task, when) for task in listed]
+        if when is None:
+            return listed
+        starts = [(len(listed) - 1 - place) // slots for place in range(len(listed))]
+        return [
+            leaving.until(task, when - BETWEEN_STAGES_S * after)
+            for task, after in zip(listed, starts, strict=True)
+        ]
 
     return replace(stage, tasks=tasks)
 

@@ -40,10 +40,10 @@ from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.rates import Rates
 from prtbake_workers.planning.seen_pixels import SeenPixels
 from prtbake_workers.planning.time_search import (
-    MARGIN,
     Measured,
     Step,
     choose_step,
+    kept_for,
     predicted_seconds,
     samples_for,
 )
@@ -216,7 +216,7 @@ class TimeSearch:
         for step in trail.steps[-2:]:
             own = self._step(results, step)
             rests.append(
-                MARGIN * own.rest if trail.told is None else predicted_seconds(own, trail.told)[1]
+                kept_for(own.rest) if trail.told is None else predicted_seconds(own, trail.told)[1]
             )
         return max(rests)
 
@@ -258,7 +258,7 @@ class TimeSearch:
             stage = Stage(numbered(name, attempt), model.unit, model.weight, tasks)
             # the first plan says whether there is time at all
             first = attempt == 0 and name == "plan"
-            return stage if first else limit(stage, self._until)
+            return stage if first else limit(stage, self._until, self._context)
 
         def look(results: Results) -> list[Task]:
             if under_way(results) is None:

@@ -99,11 +99,16 @@ def rates_of(context: Mapping[str, Any]) -> Rates:
     return Rates.from_dict(context.get("rates"))
 
 
+def slots_of(context: Mapping[str, Any]) -> int:
+    """Count the slots for tasks that lived at submission, one at least."""
+    return max(1, int(context.get("tile_slots", 1)))
+
+
 def wall_seconds(
     work: Mapping[str, Mapping[str, float]], context: Mapping[str, Any], stages: Iterable[str]
 ) -> float:
     """Predict by the clock: the tasks of a stage share the slots that live at submission."""
-    rates, slots = rates_of(context), max(1, int(context.get("tile_slots", 1)))
+    rates, slots = rates_of(context), slots_of(context)
     return sum(
         rates.stage_seconds(stage, work[stage]) / max(1.0, min(slots, work[stage].get("tasks", 1)))
         + BETWEEN_STAGES_S

@@ -34,12 +34,22 @@ class Step:
 
 def predicted_seconds(step: Step, told: Measured) -> tuple[float, float]:
     """Predict by what another attempt took: making and fit, and then what comes after."""
-    making = _ratio(told.making, told.making_predicted)
-    fit = _ratio(told.fit, told.fit_predicted)
-    return MARGIN * (making * step.making + fit * step.fit), MARGIN * max(making, 1.0) * step.rest
+    making = off_by(told.making, told.making_predicted)
+    fit = off_by(told.fit, told.fit_predicted)
+    return MARGIN * (making * step.making + fit * step.fit), kept_for(step.rest, making)
 
 
-def _ratio(measured: float, predicted: float) -> float:
+def kept_for(rest: float, off: float = 1.0) -> float:
+    """Say how many seconds are kept for what comes after a search, at the end of its time.
+
+    ``rest`` are those predicted, ``off`` is what predictions were measured to be off by: a slow
+    machine is slow there too, a quick one is not counted on.
+    """
+    return MARGIN * max(off, 1.0) * rest
+
+
+def off_by(measured: float, predicted: float) -> float:
+    """Give the factor that predicted seconds are off by; 1 where nothing tells."""
     return measured / predicted if measured > 0.0 and predicted > 0.0 else 1.0
 
 
