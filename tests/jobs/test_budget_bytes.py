@@ -1,5 +1,6 @@
 """Bytes of an asset as a whole: alone, beside an error and beside a time, through the real stages."""
 
+import copy
 import json
 from math import isclose
 
@@ -10,8 +11,10 @@ from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.reader import read_asset
 from prtbake_storage.queue.stages import Results
 from prtbake_workers.jobs.budget import search_of
+from prtbake_workers.jobs.error_attempts import MENDED
 from prtbake_workers.jobs.estimate import predict
 from prtbake_workers.jobs.registry import REGISTRY
+from prtbake_workers.jobs.search_stages import numbered
 from prtbake_workers.planning.error_search import WINDOW
 from support.budgeted import LEFT_OPEN, normal
 from support.budgeted import begun as begun_at
@@ -176,6 +179,31 @@ def test_an_error_that_the_bytes_do_not_hold_is_refused_with_the_best_and_the_li
     assert raised.value.pointer == "/budget/max_bytes"
     assert "the largest part of it is compression" in str(raised.value)
     assert str(raised.value).endswith("bytes")
+
+
+def test_a_mend_that_its_labels_leave_no_bytes_is_refused_by_the_budget(ample):
+    """Held-out views err by more, and all bytes are made use of: these may be too few for that."""
+    request, context, results, finished = ample
+    most = finished.result["bytes"]["asset.h5"] + 200
+    held = request | {"budget": request["budget"] | {"max_bytes": most}}
+    stages, known = {s.name: s for s in REGISTRY.stages("asset", held, context)}, Results()
+    mend, cut = (numbered(name, MENDED) for name in ("compress", "quantise"))
+    for name in list(stages)[: list(stages).index(mend)]:
+        values = copy.deepcopy(results[name])
+        for camera in values if name == "validate 1" else ():
+            for view in camera["views"]:
+                view["budget"]["total"] = 1.02 * TARGET
+        known.add(name, values, results.measured(name))
+    tasks = stages[mend].tasks(known)
+    assert tasks
+    known.add(mend, results["compress 1"], results.measured("compress 1"))
+    (task,) = stages[cut].tasks(known)
+    assert task.function.endswith("shared_stages:attempt")
+    few = {"refused": {"detail": "alone take 9", "pointer": "/settings/compress/max_bytes"}}
+    known.add(cut, [few], results.measured("quantise 1"))
+    with pytest.raises(SettingsError, match="held-out views err by") as raised:
+        stages["validate 2"].tasks(known)
+    assert raised.value.pointer == "/budget/max_bytes"
 
 
 HELD = 31_500

@@ -167,6 +167,21 @@ def test_the_line_that_binds_is_the_bakes_where_that_leaves_most():
     assert "the largest part of it is SRBF basis" in why
 
 
+def test_the_line_that_binds_is_of_the_bake_that_left_least():
+    """The second is a little better than the first, and was predicted to leave hardly anything."""
+    world = World(410, bakes=(0.0635, 0.063))
+    why = world.fails()[1]
+    best = hypot(0.063, sqrt(world.compression({"max_bytes": 410})[0]))
+    assert f"at best {best:.2%} is left" in why
+    assert "the largest part of it is compression" in why
+    # where that one is the worse of the two, the first is told with its own line
+    world = World(410, bakes=(0.0635, 0.064))
+    why = world.fails()[1]
+    best = hypot(0.0635, sqrt(world.compression({"max_bytes": 410})[0]))
+    assert f"at best {best:.2%} is left" in why
+    assert "the largest part of it is SRBF basis" in why
+
+
 def test_bytes_below_mesh_and_tables_are_refused_as_the_file_was():
     assert World(50, refused=(BY_BYTES,)).fails() == ("/budget/max_bytes", "too much")
 
@@ -200,6 +215,16 @@ def test_held_out_views_that_all_bytes_do_not_mend_are_refused():
     world = World(round(1.02 * size), held_out=1.25, better=1.2)
     assert world.fails()[0] == "/budget/max_bytes"
     assert list(world.made[-1]) == ["max_bytes"]
+
+
+def test_a_mend_that_is_refused_is_refused_by_the_field_of_the_budget():
+    size = size_without_bytes()
+    for room, field in ((1.4, "max_bytes"), (10.0, "max_error")):
+        world = World(round(room * size), held_out=1.25, refused=(MENDED,))
+        pointer, why = world.fails()
+        assert pointer == f"/budget/{field}"
+        assert "held-out views" in why
+        assert list(world.made[-1]) == [field]
 
 
 def test_held_out_views_that_the_bake_alone_spoils_are_no_fault_of_the_bytes():

@@ -14,6 +14,7 @@ from prtbake_workers.planning.byte_search import (
     bytes_needed,
     finer_step,
     mended_by_bytes,
+    of_finer,
     within,
 )
 from prtbake_workers.planning.error_search import TRUST, WINDOW
@@ -33,6 +34,16 @@ def test_parts_of_an_error_add_up_by_their_squares():
     assert Left(0.05, 0.051, 0.053).largest("SRBF basis") == "SRBF basis"
     # noise may make less of more
     assert Left(0.05, 0.049, 0.04).compression == 0.0
+
+
+def test_a_finer_bake_is_taken_as_predicted_with_the_light_that_was_measured():
+    """A total below what was predicted of the bake leaves nothing to compression."""
+    left = Left(transfer=0.06, light=0.1, total=0.2)
+    finer = of_finer(1, 2, [0.2, 0.12, 0.06], left, 0.17)
+    assert (finer.transfer, finer.fit) == (pytest.approx(0.03), pytest.approx(left.fit))
+    assert hypot(finer.transfer, finer.fit, finer.compression) == pytest.approx(0.17)
+    assert of_finer(1, 1, [0.2, 0.12, 0.06], left, 0.2) == left
+    assert of_finer(1, 2, [0.2, 0.12, 0.06], left, 0.02).compression == 0.0
 
 
 def test_a_file_that_is_too_large_for_an_error_near_the_aim_ends_the_trials():

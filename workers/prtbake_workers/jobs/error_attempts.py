@@ -51,8 +51,6 @@ class Trail:
     compressed: list[Compression] = field(default_factory=list)
     """For an error, in the order of their trial, and the ``sizes`` of their files in bytes."""
     sizes: list[int | None] = field(default_factory=list)
-    of_bytes: list[float] = field(default_factory=list)
-    """What those of all bytes err by."""
     finer: int | None = None
     """Step of the bake that is made once more, where bytes bind."""
     aim: float = 0.0

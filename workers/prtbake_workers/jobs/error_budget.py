@@ -216,8 +216,7 @@ class ErrorSearch:
             own = own_stages(results)
             if own is None:
                 return []
-            tasks = own[0].tasks(Results())
-            return tasks if phase == "mend" else [attempted(task) for task in tasks]
+            return [attempted(task) for task in own[0].tasks(Results())]
 
         def assembled(results: Results) -> list[Task]:
             own = own_stages(results)
@@ -228,7 +227,8 @@ class ErrorSearch:
             seen.add("compress", done(results[name]), results.measured(name))
             tasks = own[1].tasks(seen)
             # mesh and tables may take more than all bytes
-            return [attempted(task) for task in tasks] if attempt in (BY_BYTES, FINER) else tasks
+            held = attempt in (BY_BYTES, FINER, MENDED)
+            return [attempted(task) for task in tasks] if held else tasks
 
         return [
             Stage(numbered("compress", attempt), "parts", 30.0, parts),

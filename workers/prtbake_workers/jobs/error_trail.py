@@ -36,6 +36,7 @@ from prtbake_workers.planning.byte_search import (
     bytes_needed,
     finer_step,
     mended_by_bytes,
+    of_finer,
     within,
 )
 from prtbake_workers.planning.error_search import (
@@ -213,9 +214,14 @@ class ErrorDecisions:
             if _meets(left, trail):
                 self._enter_finer(trail)
                 return True
-        bakes = [rung.settings.bake for rung in self.rungs[: trail.rungs[-1] + 1]]
-        line = shown.largest(binding_line(trail.lines, bakes))
-        raise self._too_few(min(trail.of_bytes), line, trail)
+        tried = [(shown, trail.rungs[-1])]
+        if trail.finer is not None and isfinite(left):
+            other = of_finer(trail.rungs[-1], trail.finer, trail.predictions, shown, left)
+            tried.append((other, trail.finer))
+        least, step = min(tried, key=lambda one: one[0].total)
+        bakes = [rung.settings.bake for rung in self.rungs[: step + 1]]
+        line = least.largest(binding_line(trail.lines, bakes))
+        raise self._too_few(least.total, line, trail)
 
     def _all_bytes(self, results: Results, trail: Trail, place: int, most: int) -> float | None:
         """Give what a compression of all bytes errs by, None where it is not measured yet.
@@ -233,7 +239,6 @@ class ErrorDecisions:
         if views is None:
             return None
         total = pool(views, "asset").error
-        trail.of_bytes.append(total)
         met = _meets(total, trail)
         if met:
             trail.delivered = place
@@ -319,6 +324,9 @@ class ErrorDecisions:
         trail.asked[MENDED] = mended
         trail.stage = "mend"
         most = self.budget.max_bytes
+        made = (numbered("compress", MENDED), numbered("quantise", MENDED))
+        if any(refusal(results, name) is not None for name in made):
+            self._refuse_held_out(total, trail, mended)
         if most is not None and (size_of(results, MENDED) or 0) > most:
             self._refuse_held_out(total, trail, {"max_bytes": most})
         again = held_out(results, "validate 2")

@@ -101,9 +101,8 @@ def finer_step(step: int, predictions: Sequence[float], left: Left, aim: float) 
     """
     if not predictions[step]:
         return None
-    scale = left.transfer / predictions[step]
     predicted = {
-        other: left.with_transfer(scale * predictions[other])
+        other: left.with_transfer(_transfer_at(step, other, predictions, left))
         for other in range(step + 1, len(predictions))
     }
     ahead = {other: total for other, total in predicted.items() if total <= WORTH * left.total}
@@ -112,6 +111,20 @@ def finer_step(step: int, predictions: Sequence[float], left: Left, aim: float) 
         return doing[0]
     best = min(ahead, key=lambda other: ahead[other], default=None)
     return best if best is not None and ahead[best] <= TRUST * aim else None
+
+
+def of_finer(step: int, finer: int, predictions: Sequence[float], left: Left, total: float) -> Left:
+    """Say what is left at another bake, of which tuning views show the ``total`` alone.
+
+    The stored transfer is taken as predicted, and the light to add what it did at ``step``.
+    """
+    transfer = _transfer_at(step, finer, predictions, left)
+    return Left(transfer, sqrt(transfer**2 + left.fit**2), total)
+
+
+def _transfer_at(step: int, other: int, predictions: Sequence[float], left: Left) -> float:
+    """Predict the stored transfer at another step, as the measured one corrects it."""
+    return left.transfer * predictions[other] / predictions[step]
 
 
 def bytes_needed(tried: Sequence[Compression], sizes: Sequence[int | None], aim: float) -> str:
