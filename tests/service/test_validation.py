@@ -4,8 +4,10 @@ from typing import Any
 
 import httpx
 import pytest
+from pydantic import ValidationError
 
 from prtbake_service.validation import pointer_to, validation_entries
+from prtbake_storage.contract.jobs import job_request_adapter
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,35 @@ from prtbake_service.validation import pointer_to, validation_entries
 )
 def test_pointers(loc: list[str | int], body: object, pointer: str) -> None:
     assert pointer_to(loc, body, missing=True) == pointer
+
+
+@pytest.mark.parametrize(
+    ("fields", "pointer"),
+    [
+        (
+            {"kind": "bake", "settings": {"n_centres": 42, "term_energy_lost": 0.01}},
+            "/settings/term_energy_lost",
+        ),
+        (
+            {
+                "kind": "asset",
+                "environment": "environment-0000000000000000",
+                "settings": {"bake": {"n_centres": 42}, "compress": {"ranks": [2, 4, 4]}},
+            },
+            "/settings/compress/ranks",
+        ),
+    ],
+)
+def test_a_setting_that_a_budget_decides_is_pointed_at(
+    fields: dict[str, Any], pointer: str
+) -> None:
+    body = {"mesh": "mesh-0000000000000000", "brdf": {"model": "lambert"}} | fields
+    body["budget"] = {"max_error": 0.1}
+    with pytest.raises(ValidationError) as refused:
+        job_request_adapter.validate_python(body)
+    (entry,) = validation_entries(refused.value.errors(), body)
+    assert entry["pointer"] == pointer
+    assert "chooses" in entry["detail"]
 
 
 def test_what_a_union_tried_is_no_step() -> None:

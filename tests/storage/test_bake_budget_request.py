@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from prtbake_storage.contract.bake_budget import DECIDED_BY_ANY, DECIDED_BY_ERROR
+from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_storage.contract.jobs import job_request_adapter
 
 BAKE = {"kind": "bake", "mesh": "mesh-0000000000000000", "brdf": {"model": "lambert"}}
@@ -50,19 +50,20 @@ def test_an_empty_budget_is_refused():
     assert "one at least of max_error, max_bytes, max_seconds" in refusal(budget={})[1]
 
 
-@pytest.mark.parametrize("name", DECIDED_BY_ANY)
+@pytest.mark.parametrize("name", BakeBudget.decided["any"])
 def test_settings_that_any_budget_decides_are_refused_by_name(name):
     for budget in ({"max_error": 0.1}, {"max_bytes": 10_000}, {"max_seconds": 60.0}):
         where, why = refusal(budget=budget, settings={name: 0.01})
-        assert where == ("bake", "settings")
+        assert where == ("settings", name)
         assert f"the budget chooses {name}" in why
     assert request(quality="low", settings={name: 0.01}).settings
 
 
-@pytest.mark.parametrize("name", DECIDED_BY_ERROR)
+@pytest.mark.parametrize("name", BakeBudget.decided["max_error"])
 def test_settings_that_an_error_decides_are_refused_beside_it_alone(name):
-    _, why = refusal(budget={"max_error": 0.1}, settings={name: 0.01})
-    assert f"the budget chooses {name}" in why
+    where, why = refusal(budget={"max_error": 0.1}, settings={name: 0.01})
+    assert where == ("settings", name)
+    assert f"budget.max_error chooses {name}" in why
     assert request(budget={"max_bytes": 10_000}, settings={name: 0.01}).settings
 
 
@@ -75,7 +76,9 @@ def test_settings_that_an_error_decides_are_refused_beside_it_alone(name):
     ],
 )
 def test_what_no_trial_can_choose_beside_is_refused(settings, words):
-    assert words in refusal(budget={"max_error": 0.1}, settings=settings)[1]
+    where, why = refusal(budget={"max_error": 0.1}, settings=settings)
+    assert where == ("settings", *settings)
+    assert words in why
     assert request(settings=settings).settings
 
 

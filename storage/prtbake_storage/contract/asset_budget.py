@@ -1,35 +1,15 @@
 """A budget of an asset: what it may err by, weigh and take."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
 from prtbake_storage.contract.base import MaxBytes, MaxError
-from prtbake_storage.contract.budget import Budget
+from prtbake_storage.contract.budget import Budget, given_at, refused_at
 from prtbake_storage.contract.settings import AssetSettings
 
-DECIDED_BY_ERROR = (
-    ("compress", "ranks"),
-    ("compress", "n_components"),
-    ("compress", "max_error"),
-    ("compress", "max_bytes"),
-    ("compress", "max_quantisation_error"),
-    ("fit_light", "n_lobes"),
-    ("fit_light", "max_error"),
-    ("fit_light", "max_bytes"),
-)
-"""Settings that a budget's error takes the place of: stage and name."""
-
-DECIDED_BY_BYTES = (
-    ("compress", "ranks"),
-    ("compress", "n_components"),
-    ("compress", "max_bytes"),
-    ("compress", "max_quantisation_error"),
-)
-"""Those that its bytes do."""
-
-DECIDED_BY_EITHER = (
-    ("compress", "max_seconds"),
-    ("fit_light", "max_seconds"),
-)
-"""Those that either an error or a time does: a search counts on stages that end with what they were
-asked for."""
+SECONDS = ("compress.max_seconds", "fit_light.max_seconds")
+"""A search, for an error or in a time, counts on stages that end with what they were asked for."""
 
 
 class AssetBudget(Budget):
@@ -38,6 +18,27 @@ class AssetBudget(Budget):
     For an error or a time planning searches the settings: it tunes at views of the light that are
     not those of the validation, and the report lists what it tried.  Bytes alone go with a quality.
     """
+
+    decided: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({
+        "max_error": (
+            "compress.ranks",
+            "compress.n_components",
+            "compress.max_error",
+            "compress.max_bytes",
+            "compress.max_quantisation_error",
+            "fit_light.n_lobes",
+            "fit_light.max_error",
+            "fit_light.max_bytes",
+            *SECONDS,
+        ),
+        "max_bytes": (
+            "compress.ranks",
+            "compress.n_components",
+            "compress.max_bytes",
+            "compress.max_quantisation_error",
+        ),
+        "max_seconds": SECONDS,
+    })  # fmt: skip
 
     max_error: MaxError | None = None
     """Relative L2 error of the pictures against the reference, as the error budget's total."""
@@ -56,25 +57,19 @@ class AssetBudget(Budget):
         compress = settings.compress | {"max_bytes": self.max_bytes}
         return settings.model_copy(update={"compress": compress})
 
-    def check_beside(self, settings: AssetSettings) -> None:
-        """Refuse settings that would decide what the budget decides.
+    def check_beside(self, given: Mapping[str, Any]) -> None:
+        """Refuse settings that would decide what the budget decides, too few bits among them.
 
         Raises
         ------
-        ValueError
-            Naming the first of them.
+        ValidationError
+            Of the first of them, at its place in the settings.
         """
-        decided = [
-            ("the budget", DECIDED_BY_EITHER, self.searched, ()),
-            ("budget.max_error", DECIDED_BY_ERROR, self.max_error is not None, (8,)),
-            ("budget.max_bytes", DECIDED_BY_BYTES, self.max_bytes is not None, (8, 16)),
-        ]
-        for who, names, asked, bits in decided:
-            if not asked:
-                continue
-            for stage, name in names:
-                if getattr(settings, stage).get(name) is not None:
-                    raise ValueError(f"{who} chooses {stage}.{name}: give one of them")
-            if settings.compress.get("bits") in bits:
-                left = "'auto'" if 16 in bits else "'auto', or 16"
-                raise ValueError(f"{who} chooses compress.bits: leave them {left}")
+        super().check_beside(given)
+        bits = given_at(given, "compress.bits")
+        if self.max_bytes is not None and bits in (8, 16):
+            why = "budget.max_bytes chooses compress.bits: leave them 'auto'"
+            raise refused_at("compress.bits", why)
+        if self.max_error is not None and bits == 8:
+            why = "budget.max_error chooses compress.bits: leave them 'auto', or 16"
+            raise refused_at("compress.bits", why)

@@ -106,6 +106,19 @@ class _OneStage(_Request):
         return settings.model_dump(mode="json", exclude_unset=sparse)
 
 
+class _Budgeted(_Request):
+    """A job whose budget decides some of its settings."""
+
+    @field_validator("settings", check_fields=False)
+    @classmethod
+    def _not_the_budgets(cls, settings: Wire, info: ValidationInfo) -> Wire:
+        """Refuse settings that would decide what the budget decides."""
+        budget = info.data.get("budget")
+        if budget is not None:
+            budget.check_beside(settings.model_dump(exclude_unset=True))
+        return settings
+
+
 class _SceneRequest(_Request):
     mesh: ResourceId
     brdf: ResourceId | BrdfSpec
@@ -124,7 +137,7 @@ class _SceneRequest(_Request):
     effects: Effects = Effects()
 
 
-class BakeRequest(_SceneRequest, _OneStage):
+class BakeRequest(_SceneRequest, _OneStage, _Budgeted):
     """Simulate transport: gives ``transfer.h5``."""
 
     kind: Literal["bake"] = "bake"
@@ -138,15 +151,6 @@ class BakeRequest(_SceneRequest, _OneStage):
         if budget is not None and info.data.get("quality") is not None:
             raise ValueError("one quality or budget: the budget chooses what a quality would")
         return budget
-
-    @field_validator("settings")
-    @classmethod
-    def _not_the_budgets(cls, settings: BakeSettings, info: ValidationInfo) -> BakeSettings:
-        """Refuse settings that would decide what the budget decides."""
-        budget = info.data.get("budget")
-        if budget is not None:
-            budget.check_beside(settings.model_dump(exclude_unset=True))
-        return settings
 
 
 class CompressRequest(_OneStage):
@@ -191,7 +195,7 @@ class ValidateRequest(_LitRequest):
     settings: ValidateSettings = ValidateSettings()
 
 
-class AssetRequest(_SceneRequest, _LitRequest):
+class AssetRequest(_SceneRequest, _LitRequest, _Budgeted):
     """The main job: bake, compress, fit, render, validate, report."""
 
     kind: Literal["asset"] = "asset"
@@ -212,15 +216,6 @@ class AssetRequest(_SceneRequest, _LitRequest):
         if quality is not None:
             raise ValueError("one quality or budget: the budget chooses the quality")
         return None
-
-    @field_validator("settings")
-    @classmethod
-    def _not_the_budgets(cls, settings: AssetSettings, info: ValidationInfo) -> AssetSettings:
-        """Refuse settings that would decide what the budget decides."""
-        budget = info.data.get("budget")
-        if budget is not None:
-            budget.check_beside(settings)
-        return settings
 
     @property
     def planned_quality(self) -> Quality:
