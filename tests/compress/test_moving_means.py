@@ -1,10 +1,15 @@
 """Means brought up to date are those summed anew, whatever moved in between."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
+from prtbake_workers.compress import moving_means
 from prtbake_workers.compress.energy import row_energy
 from prtbake_workers.compress.moving_means import MovingMeans, weighted_sum
+from prtbake_workers.compress.parallel import same_bytes_on_any_threads
 
 
 def _oracle(signal, labels, weights, n_clusters):
@@ -125,3 +130,42 @@ def test_a_distortion_that_falls_a_millionfold_keeps_its_digits(rng):
     np.testing.assert_allclose(moving.distortion, exact, rtol=1e-6)
     alone = np.sum((signal[20:].astype(float) - means[0]) ** 2)
     np.testing.assert_allclose(moving._distortions[0], alone, rtol=1e-5)
+
+
+def _scattered(rng, monkeypatch, n_clusters=100):
+    """400 long rows, a cluster every four, in chunks of ten and pieces of two."""
+    signal = rng.standard_normal((400, 2000)).astype(np.float32)
+    monkeypatch.setattr(moving_means, "CHUNK_BYTES", 10 * signal[0].nbytes)
+    monkeypatch.setattr(moving_means, "PIECE_BYTES", 2 * signal[0].nbytes)
+    moving, means = _moving(signal, np.ones(400), n_clusters)
+    labels = (np.arange(400) % n_clusters).astype(np.int32)
+    moving.update(labels, means)
+    labels[::4] = (labels[::4] + 7) % n_clusters
+    return signal, moving, labels, means
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_followers_cost_what_moved_whatever_the_number_of_clusters(rng, monkeypatch, threads):
+    """Sums of all hundred clusters in float64 would be twenty chunks, a piece or chunk each."""
+    _, moving, labels, _ = _scattered(rng, monkeypatch)
+    verts = np.arange(0, 400, 4)
+    with threadpool_limits(limits=threads, user_api="blas"), same_bytes_on_any_threads():
+        tracemalloc.start()
+        moving._follow(verts, 1.0, labels[verts])
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    # a chunk's sums in float64 are two chunks, one more a thread, twice while they are added
+    assert peak < (6 + 4 * threads) * moving_means.CHUNK_BYTES
+
+
+def test_many_threads_follow_as_one_does(rng, monkeypatch):
+    found = []
+    for threads in (1, 2):
+        signal, moving, labels, means = _scattered(np.random.default_rng(3), monkeypatch)
+        with threadpool_limits(limits=threads, user_api="blas"), same_bytes_on_any_threads():
+            moving.update(labels, means)
+        found.append((moving._sums.tobytes(), moving.distortion))
+        expected = _oracle(signal, labels, np.ones(400), 100)
+        # float64 sums, rounded once to float32
+        np.testing.assert_allclose(means, expected, rtol=1.3e-7, atol=1e-12)
+    assert found[0] == found[1]

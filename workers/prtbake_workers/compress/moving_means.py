@@ -11,14 +11,14 @@ from scipy.sparse import csr_array
 from prtbake_workers.arrays import F32, F64, I32, I64, Float32, Float64, Int32
 from prtbake_workers.compress.clusters import members_by_cluster, squared_distances, weighted_mean
 from prtbake_workers.compress.energy import row_chunks, row_energy
-from prtbake_workers.compress.parallel import map_in_order
+from prtbake_workers.compress.parallel import each_in_order, map_in_order
 from prtbake_workers.compress.rows import Rows
 
 CHUNK_BYTES = 8 << 20
 """Of signal in one piece of work."""
 
 PIECE_BYTES = 1 << 19
-"""Of signal at a time: it and the means beside it stay in the cache."""
+"""Of signal at a time: it, twice that in float64 and the means beside it stay in the cache."""
 
 MOST_MOVED = 0.5
 """Share of a cluster that joins or leaves, above which it is summed anew."""
@@ -119,27 +119,33 @@ class MovingMeans:
     def _follow(self, verts: I64, sign: float, clusters: I32) -> None:
         """Add vertices to the sums and distortions of clusters, or take them away.
 
-        Distortions are about where the means were.
+        Distortions are about where the means were.  Costs and holds what moved, however many
+        clusters there are.
         """
-        n_clusters = len(self._sums)
 
-        def follow(chunk: slice) -> tuple[F64, F64]:
-            sums, distortions = np.zeros_like(self._sums), np.zeros(n_clusters)
-            for piece in _pieces(chunk, self._signal):
-                own, there = verts[piece], clusters[piece]
+        def follow(chunk: slice) -> tuple[I32, F64, F64]:
+            present, at = np.unique(clusters[chunk], return_inverse=True)
+            sums = np.zeros((len(present), self._sums.shape[1]))
+            distortions = np.zeros(len(present))
+            # by clusters, so that the rows of a piece add to few of them
+            order = np.argsort(at, kind="stable")
+            for piece in _pieces(slice(0, len(order)), self._signal):
+                own, there = verts[chunk][order[piece]], at[order[piece]]
+                few = slice(there[0], there[-1] + 1)
                 rows, weights = self._signal[own], self._weights[own]
                 shares = csr_array(
-                    (weights, (there, np.arange(len(own)))), shape=(n_clusters, len(own))
+                    (weights, (there - there[0], np.arange(len(own)))),
+                    shape=(few.stop - few.start, len(own)),
                 )
-                sums += shares @ rows.astype(np.float64)
-                far = weights * row_energy(rows - self._means[there])
-                distortions += np.bincount(there, weights=far, minlength=n_clusters)
-            return sums, distortions
+                sums[few] += shares @ rows.astype(np.float64)
+                far = weights * row_energy(rows - self._means[present[there]])
+                distortions[few] += np.bincount(there - there[0], weights=far)
+            return present, sums, distortions
 
-        for sums, distortions in map_in_order(follow, _chunks(len(verts), self._signal)):
-            self._sums += sign * sums
-            self._distortions += sign * distortions
-            np.maximum(self._most, self._distortions, out=self._most)
+        for present, sums, distortions in each_in_order(follow, _chunks(len(verts), self._signal)):
+            self._sums[present] += sign * sums
+            self._distortions[present] += sign * distortions
+        np.maximum(self._most, self._distortions, out=self._most)
 
     def measure(
         self,

@@ -7,6 +7,7 @@ ones, and the same bytes on any machine of one kind.
 """
 
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -46,6 +47,23 @@ def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> list[
         return [work(item) for item in items]
     with ThreadPoolExecutor(n_threads) as pool:
         return list(pool.map(work, items))
+
+
+def each_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yield ``work`` of each item, in the items' order; about one a thread is held meanwhile."""
+    items = list(items)
+    n_threads = min(_THREADS.get(), len(items))
+    if n_threads <= 1:
+        yield from map(work, items)
+        return
+    with ThreadPoolExecutor(n_threads) as pool:
+        ahead = deque(pool.submit(work, item) for item in items[:n_threads])
+        for item in items[n_threads:]:
+            done = ahead.popleft().result()
+            ahead.append(pool.submit(work, item))
+            yield done
+        while ahead:
+            yield ahead.popleft().result()
 
 
 def _pools() -> ThreadpoolController:
