@@ -86,6 +86,28 @@ def test_the_reach_bounds_the_distance_to_the_own_mean(rng):
     assert np.all(near._reach <= own + 2.0 * near._gone[labels] + 1e-3)
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_bounds_hold_where_norms_round_as_far_as_they_may(rng, monkeypatch, sign):
+    """|m|^2 = |o|^2 cancels in |m - o|^2 + 2 o.(m - o), what |m - o|^2 was rounded by does not."""
+    n_dims = 600
+    worst = 1.0 + sign * n_dims * nearest_means.FLOAT32_ROUNDING
+    monkeypatch.setattr(nearest_means, "row_energy", lambda rows: worst * row_energy(rows))
+    point = rng.standard_normal(n_dims).astype(np.float32)
+    signal = 1e-3 * rng.standard_normal((40, n_dims)).astype(np.float32)
+    near, labels = _start(signal, np.tile(point, (2, 1)))
+    means = np.stack([-point, 1.01 * point])
+    near.move(labels, means)
+    assert not labels.any()
+    exact = np.sqrt(_exact(signal, means))
+    bounds = near._bounds.astype(float) - near._gone
+    # how far the means went is of the same worst norms, and is no part of this
+    slack = nearest_means.BOUND_ROUNDING * near._gone.max()
+    assert np.all(bounds <= exact + slack)
+    assert np.all(near._reach + slack >= exact[:, 0])
+    # close to the distances, so that they leave vertices out
+    np.testing.assert_allclose(bounds, exact, rtol=1e-3)
+
+
 def test_a_vertex_that_others_moved_looks_again(rng):
     centres = 50.0 * rng.standard_normal((4, 8))
     signal = (np.repeat(centres, 20, axis=0) + rng.standard_normal((80, 8))).astype(np.float32)

@@ -4,7 +4,8 @@ A mean that moved by t is nearer to a vertex than it was by at most t ([Elkan200
 triangle inequality).  So distances once taken bound later ones from below, and a vertex whose own
 mean is nearer than all bounds stays without a product: after ten iterations nine in ten do.
 
-Bounds are lowered by what rounding can add, so clusters are those that all distances would give.
+Bounds are lowered by what rounding can add, so clusters are those that all distances would give, up
+to ties in float32: a product of fewer rows may round otherwise.
 """
 
 from typing import NamedTuple
@@ -60,6 +61,7 @@ class NearestMeans:
         """Take the signal, the first means, and the squared norm of each row of the signal."""
         self._signal, self._lengths = signal, np.sqrt(energy)
         self._origin: F32 = means.mean(axis=0, dtype=np.float64).astype(np.float32)
+        self._origin_length = float(np.linalg.norm(self._origin.astype(np.float64)))
         self._last: F32 | None = None
         self._labels: I32 = np.full(len(signal), -1, np.int32)
         self._gone: F64 = np.zeros(len(means))
@@ -148,12 +150,13 @@ class NearestMeans:
         """Make bounds of what the product gave; ``ranked`` is overwritten."""
         if self._bounds is None or self._about is None:
             return
+        squares, lengths = self._about[chunk][active], self._lengths[chunk][active]
         # any order of summation errs by at most this share of the product of the lengths
         share = (self._signal.shape[1] + 8) * FLOAT32_ROUNDING
-        squares, lengths = self._about[chunk][active], self._lengths[chunk][active]
-        error = share * (
-            squares + np.abs(about.constant).max() + 2.0 * lengths * about.lengths.max()
-        )
+        # the two halves of ``constant``, |m - o|^2 and 2 o.(m - o), may cancel; their errors do not
+        longest = about.lengths.max()
+        halves = longest * (longest + 2.0 * self._origin_length)
+        error = share * (squares + halves + 2.0 * lengths * longest)
         ranked += (squares - error).astype(np.float32)[:, None]
         own = ranked[np.arange(len(active)), labels] + 2.0 * error
         self._reach[chunk][active] = np.sqrt(np.maximum(own, 0.0))
