@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from prtbake_workers.compress.clusters import members_by_cluster
+from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.lbg import lbg
+from prtbake_workers.compress.moving_means import MovingMeans
 
 
 def _run(signal, n_clusters, *, seed=0, weights=None, max_iterations=50, tolerance=0.0):
@@ -52,6 +54,29 @@ def test_objective_never_rises(diffuse):
     objective = _run(diffuse, 30).objective
     assert len(objective) > 2
     assert np.all(np.diff(objective) <= 1e-7 * np.sum(diffuse.astype(float) ** 2))
+
+
+def _followed_too_low(monkeypatch, share):
+    followed = MovingMeans.distortion.fget
+    monkeypatch.setattr(MovingMeans, "distortion", property(lambda own: share * followed(own)))
+
+
+def test_the_last_objective_is_measured(diffuse, monkeypatch):
+    _followed_too_low(monkeypatch, 0.999)
+    result = _run(diffuse, 30, weights=np.linspace(0.5, 2.0, len(diffuse)))
+    distortion = np.linspace(0.5, 2.0, len(diffuse)) @ result.squared_distances
+    assert result.objective[-1] == distortion
+    assert np.all(np.diff(result.objective) <= 0.0)
+    assert _run(diffuse, 30, max_iterations=0).objective == []
+
+
+def test_a_distortion_followed_too_low_fails_no_component_that_goes_on_from_it(rng, monkeypatch):
+    """Noise, of which a component wins about (1 + 1)^2 / 200, less than what is missing."""
+    signal = rng.standard_normal((400, 200)).astype(np.float32)
+    _followed_too_low(monkeypatch, 0.9)
+    for method in ("static", "iterative"):
+        objective = compress_cpca(signal, 2, 1, method=method, seed=1, max_iterations=5).objective
+        assert 0.9 * objective[0] < objective[-1] < objective[0]
 
 
 def test_weights_move_the_means(diffuse, rng):

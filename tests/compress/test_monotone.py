@@ -19,6 +19,22 @@ def test_a_rise_is_refused_with_its_step(value: float) -> None:
     assert trace.values == [4.0]
 
 
+@pytest.mark.parametrize(
+    ("may_rise", "expected"), [(False, [5.0, 4.2, 4.2]), (True, [5.0, 4.0, 4.2])]
+)
+def test_a_measured_objective_takes_the_place_of_the_last(
+    may_rise: bool, expected: list[float]
+) -> None:
+    trace = ObjectiveTrace(10.0, "test", may_rise=may_rise)
+    for value in (5.0, 4.0, 3.9):
+        trace.append(value)
+    trace.measured(4.2)
+    assert trace.values == expected
+    empty = ObjectiveTrace(10.0, "test")
+    empty.measured(4.2)
+    assert empty.values == []
+
+
 def test_convergence_needs_two_steps_or_no_error() -> None:
     trace = ObjectiveTrace(10.0, "test")
     assert not trace.has_converged(1e-3)

@@ -66,7 +66,8 @@ class LbgResult(NamedTuple):
     means
         Mean signal of each cluster; zeros for an empty one, which no split could fill.
     objective
-        Weighted sum of squared distances to the means, after each iteration.
+        Weighted sum of squared distances to the means, after each iteration; the last one is that
+        of ``squared_distances``.
     squared_distances
         Squared distance of each vertex to its mean, without its weight.
     """
@@ -158,6 +159,7 @@ def lbg(
         if iteration + 1 < max_iterations and not trace.has_time():
             break
     moving.measure(state.labels, state.means, state.squared_distances)
+    trace.measured(float(weights @ state.squared_distances))
     return LbgResult(state.labels, state.means, trace.values, state.squared_distances)
 
 

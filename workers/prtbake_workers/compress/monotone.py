@@ -64,6 +64,16 @@ class ObjectiveTrace:
         now = time.monotonic()
         self._longest, self._since = max(self._longest, now - self._since), now
 
+    def measured(self, value: float) -> None:
+        """Put the last objective right, where it was followed rather than measured.
+
+        Unless it may rise, none before it was lower: those that were followed below it are raised.
+        """
+        if self.values:
+            self.values[-1] = value
+        if not self.may_rise:
+            self.values = [max(one, value) for one in self.values]
+
     def has_time(self) -> bool:
         """Whether a step as long as the longest so far ends before the deadline, if any."""
         return time_for(self._longest)
