@@ -2,20 +2,18 @@
 
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 
-from prtbake_storage.hdf5 import primitives as h5
-from prtbake_workers.compress.bit_allocation import allocate_bits
+from prtbake_workers.basis.sh_basis import ShBasis
 from prtbake_workers.compress.methods import Fit, compress
-from prtbake_workers.planning import packed_factors
 from prtbake_workers.planning.cost import factor_floats
 from prtbake_workers.planning.file_bytes import FACTOR_BYTES
 from prtbake_workers.planning.packed_factors import WholePart, factor_bytes
 from prtbake_workers.planning.presets import PartCompression
+from support.part_file import factor_bytes_in_file
 
-N_VERTS, N_TERMS, N_COEFFS, SHARE = 1600, 4, 48, 0.01
+N_VERTS, N_TERMS, N_COEFFS, SHARE = 1600, 4, 49, 0.01
 CPCA = PartCompression("cpca", 4, (1, 1, 1), 6)
 CTA = PartCompression("cta", 4, (3, 16, 8), 6)
 
@@ -44,19 +42,7 @@ def measured(coefficients, compression, path):
     areas = np.full(N_VERTS, 1.0 / N_VERTS)
     fit = Fit(seed=0, max_iterations=6, vertex_weights=areas)
     done = compress(compression.method, coefficients, compression, fit)
-    part = packed_factors._part(dict(done.factors), None, 1)
-    bound = SHARE * done.model.squared_error_ratio * done.model.initial_energy
-    scales = allocate_bits(part, areas, bound).scales
-    numbers = 0
-    with h5.new_file(path, "asset") as file:
-        for name, levels in packed_factors.round_part(part, scales).items():
-            stored = packed_factors._stored(levels)
-            h5.put(file, name, stored, " ".join(f"axis{i}" for i in range(levels.ndim)))
-            scale = scales[name]
-            h5.put(file, f"{name}_scale", scale, " ".join(f"axis{i}" for i in range(scale.ndim)))
-            numbers += levels.size
-    with h5py.File(path) as file:
-        return sum(own.id.get_storage_size() for own in file.values()) / numbers
+    return factor_bytes_in_file(done, areas, SHARE, ShBasis(7).stored, path)
 
 
 @pytest.mark.parametrize("compression", [CPCA, CTA], ids=["cpca", "cta"])
@@ -68,8 +54,9 @@ def test_a_quarter_of_the_vertices_tells_the_bytes_of_all(compression, noise, tm
     found = factor_bytes(
         coefficients[some], np.ones(N_VERTS // 4), 4, whole_part(compression), share=SHARE
     )
-    # a quarter fits its noise better than the whole does: by less than half a bit
-    assert found.factors == pytest.approx(expected, rel=0.1)
+    # a quarter fits its noise better than the whole does, and little arrays pack worse: by less
+    # than half a bit, of the 2.4 that the coarsest have
+    assert found.factors == pytest.approx(expected, rel=0.15)
     assert found.texture == 0.0
 
 

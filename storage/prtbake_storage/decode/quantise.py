@@ -23,7 +23,11 @@ F64 = NDArray[np.float64]
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
-INT16_MAX = 32767
+INT8_MAX, INT16_MAX = 127, 32767
+OFFSET = 128
+"""Added to levels in int16 where they leave room: the upper byte of small ones is then 0, whatever
+their sign, and shuffle and gzip make nothing of it."""
+
 NUMBERS_AT_A_TIME = 1 << 18
 """Of a factor that is read: 2 MB."""
 SCALE_MANTISSA_BITS = 9
@@ -161,6 +165,15 @@ def dequantised(
 def _spread(name: str, scale: F32, labels: I32) -> F32:
     """Give every row of the weights the scales of its cluster; those of others broadcast."""
     return scale[labels] if name == "weights" else scale
+
+
+def stored_levels(values: I16) -> tuple[NDArray[np.int8] | I16, int]:
+    """Give levels in the smallest type, as files hold them, and the offset that is added."""
+    peak = int(np.abs(values.astype(np.int32)).max(initial=0))
+    if peak <= INT8_MAX:
+        return values.astype(np.int8), 0
+    offset = OFFSET if peak <= INT16_MAX - OFFSET else 0
+    return values + np.int16(offset), offset
 
 
 def bits_of(values: NDArray[np.integer], *, offset: int = 0) -> int:

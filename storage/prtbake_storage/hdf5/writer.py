@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from prtbake_storage.decode.asset import Asset, Part, check_asset
 from prtbake_storage.decode.quantise import (
-    INT16_MAX,
     Scales,
     asset_scales,
     bits_of,
@@ -17,6 +16,7 @@ from prtbake_storage.decode.quantise import (
     pack_units,
     quantise_asset,
     round_part,
+    stored_levels,
 )
 from prtbake_storage.decode.superclusters import Superclusters
 from prtbake_storage.hdf5 import primitives as h5
@@ -26,11 +26,6 @@ from prtbake_storage.hdf5.tables import put_surface
 
 F32 = NDArray[np.float32]
 I16 = NDArray[np.int16]
-
-INT8_MAX = 127
-OFFSET = 128
-"""Added to levels in int16 where they leave room: the upper byte of small ones is then 0, whatever
-their sign, and shuffle and gzip make nothing of it."""
 
 AXES = {
     "light_bases": "clusters coeffs light",
@@ -156,9 +151,7 @@ def _put_superclusters(group: h5py.Group, groups: Superclusters) -> None:
 
 def _put_levels(group: h5py.Group, name: str, levels: I16, scale: F32) -> None:
     """Write levels in the smallest type, beside their scale."""
-    peak = int(np.abs(levels.astype(np.int32)).max())
-    offset = OFFSET if INT8_MAX < peak <= INT16_MAX - OFFSET else 0
-    stored = levels.astype(np.int8) if peak <= INT8_MAX else levels + np.int16(offset)
+    stored, offset = stored_levels(levels)
     written = h5.put(group, name, stored, AXES[name])
     h5.set_attribute(written, "scale", f"{name}_scale")
     h5.set_attribute(written, "offset", offset)

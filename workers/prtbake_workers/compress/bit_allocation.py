@@ -19,6 +19,8 @@ import numpy as np
 
 from prtbake_storage.decode.asset import Part
 from prtbake_storage.decode.quantise import (
+    INT16_MAX,
+    OFFSET,
     Scales,
     dequantised,
     factor_peaks,
@@ -35,7 +37,7 @@ from prtbake_workers.compress.rounding_error import (
     rounding_error,
 )
 
-LARGEST_LEVEL = 32639
+LARGEST_LEVEL = INT16_MAX - OFFSET
 """Of the finest scale: int16 less the offset that the file adds to levels."""
 
 LEVEL_OF_IDLE_COLUMNS = 127

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from prtbake_storage.decode.asset import Part
-from prtbake_storage.decode.quantise import Scales, round_part
+from prtbake_storage.decode.quantise import Scales, round_part, stored_levels
 from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress.bit_allocation import (
     AIM,
@@ -31,9 +31,6 @@ ITERATIONS = 2
 
 ROUNDS = 6
 """Of the search for the steps at most."""
-
-OFFSET = 128
-"""Of levels in 16 bits, as the file has it."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ def factor_bytes(
     scales = _scales(part, own, bound, whole, more=more, fuller=fuller)
     packed, numbers, texture = 0.0, 0.0, 0.0
     for name, levels in round_part(part, scales).items():
-        size = packed_bytes(_stored(levels))
+        size = packed_bytes(stored_levels(levels)[0])
         if name == "view_texture":
             texture = size / levels.size
             continue
@@ -158,11 +155,3 @@ def _scales(
         step *= min(max(factor, 1.0 / LARGEST_STRIDE), LARGEST_STRIDE)
         scales = steps.scales(step)
     return scales
-
-
-def _stored(levels: Any) -> Any:
-    """Give levels the type and the offset that they have in the file."""
-    peak = int(np.abs(levels.astype(np.int32)).max(initial=0))
-    if peak <= np.iinfo(np.int8).max:
-        return levels.astype(np.int8)
-    return levels + np.int16(OFFSET) if peak <= np.iinfo(np.int16).max - OFFSET else levels
