@@ -1,5 +1,7 @@
 """Vertices and transfer of a few clusters against the whole part's, as the bake has it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from prtbake_workers.planning.sampled_clusters import (
     MOST_VALUES,
     MOST_VERTS,
     SampledDirections,
+    _along_a_curve,
     draw_clusters,
     sampled_coefficients,
 )
@@ -58,6 +61,37 @@ def test_few_clusters_are_drawn_from_all_over(n_clusters):
     start, stop = POT.part_ranges[1]
     assert count == n_clusters
     assert list(verts) == list(range(start, stop))
+
+
+def test_clusters_whose_middles_coincide_are_one():
+    """Twelve places with a twelfth of the vertices each: sixteen middles are twelve."""
+    n_verts = len(BALL.positions)
+    twelve = icosphere(0)[np.arange(n_verts) * 12 // n_verts]
+    verts, count = drawn(replace(BALL, positions=twelve, normals=twelve), 0, 24)
+    assert count == 12
+    assert len(np.unique(twelve[verts], axis=0)) == 12
+    # negative twin: where vertices have places of their own, clusters overlap little
+    assert drawn(BALL, 0, 24)[1] > 12
+
+
+def test_large_vertices_are_drawn_no_more_often():
+    """Compression weighs them by their area already."""
+    areas = BALL.areas.copy()
+    areas[7] = areas.sum()
+    large = replace(BALL, areas=areas)
+    assert list(drawn(large, 0, 64)[0]) == list(drawn(BALL, 0, 64)[0])
+
+
+def test_few_vertices_are_spread_evenly():
+    """Each sixteenth along the curve has its share, which chance does not give."""
+    own = np.argsort(_along_a_curve(BALL.positions), kind="stable")
+    rank = np.argsort(own, kind="stable")
+    verts, _ = drawn(BALL, 0, 2, n_values=MOST_VALUES // 256)
+    assert len(verts) == 256
+    shares = np.histogram(rank[verts], bins=16, range=(0, len(own)))[0]
+    assert 15 <= shares.min() <= shares.max() <= 17
+    chance = np.random.default_rng(2).choice(len(own), 256, replace=False)
+    assert np.ptp(np.histogram(chance, bins=16, range=(0, len(own)))[0]) > 4
 
 
 def test_many_values_leave_fewer_vertices():

@@ -10,7 +10,6 @@ from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.geometry.ray_offset import offset_origins, ray_epsilon
 from prtbake_workers.geometry.scene import Scene
-from prtbake_workers.planning.probe import draw_by_area
 from prtbake_workers.planning.sampled_transfer import ProbeDirections, SampledTransfer
 
 MOST_CLUSTERS = 16
@@ -52,7 +51,9 @@ def draw_clusters(
     """Draw vertices of a part, and say of how many clusters they are.
 
     A cluster is taken to be the vertices that are nearest to one in place and normal.  Of a part
-    that has no more clusters than are drawn, vertices are taken from all over it.
+    that has no more clusters than are drawn, vertices are taken from all over it.  Either are drawn
+    evenly along a curve through the part: clusters have as many vertices whatever their area, by
+    which whoever compresses them weighs them.
 
     Parameters
     ----------
@@ -68,17 +69,27 @@ def draw_clusters(
     most = min(MOST_VERTS, max(FEWEST_CLUSTERS * FEWEST_VERTS, MOST_VALUES // n_values))
     drawn = min(n_clusters, max(FEWEST_CLUSTERS, min(MOST_CLUSTERS, most // FEWEST_VERTS)))
     if drawn == n_clusters or not own.size:
-        return np.sort(rng.choice(own, min(most, len(own)), replace=False)), drawn
+        return np.sort(own[_evenly(len(own), most, rng)]), drawn
     places = scene.positions[own] - scene.positions[own].mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum(places**2, axis=1))))
     places = np.concatenate([places / max(size, 1e-30), scene.normals[own]], axis=1)
     members = max(1, len(own) // n_clusters)
-    found = []
-    for middle in draw_by_area(scene.areas[own], drawn, rng):
+    looked_at = np.zeros(len(own), bool)
+    covered = np.zeros(len(own), bool)
+    for middle in _evenly(len(own), drawn, rng):
         distances = np.sum((places - places[middle]) ** 2, axis=1)
         nearest = np.argpartition(distances, members - 1)[:members]
-        found.append(rng.choice(nearest, min(members, most // drawn), replace=False))
-    return np.sort(own[np.unique(np.concatenate(found))]), drawn
+        covered[nearest] = True
+        looked_at[rng.choice(nearest, min(members, most // drawn), replace=False)] = True
+    # where middles coincide, or clusters overlap, they are fewer
+    return np.sort(own[looked_at]), max(1, round(int(covered.sum()) / members))
+
+
+def _evenly(length: int, count: int, rng: np.random.Generator) -> Int64[I64, " drawn"]:
+    """Draw at most ``count`` different places of a list, evenly spread (systematic)."""
+    count = min(length, count)
+    at = (np.arange(count) + rng.random()) * (length / max(1, count))
+    return np.minimum(at.astype(np.int64), length - 1)
 
 
 def _along_a_curve(positions: Float64[F64, "verts 3"]) -> Int64[I64, " verts"]:
