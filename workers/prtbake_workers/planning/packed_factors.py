@@ -87,7 +87,13 @@ def factor_bytes(
         whole.compression.method,
         coefficients,
         replace(whole.compression, n_clusters=drawn),
-        Fit(seed=seed, max_iterations=ITERATIONS, n_channels=n_channels, vertex_weights=own),
+        Fit(
+            seed=seed,
+            max_iterations=ITERATIONS,
+            n_channels=n_channels,
+            vertex_weights=own,
+            classification=whole.compression.classification,
+        ),
     )
     part = _part(dict(done.factors), whole.phi, n_channels)
     # all clusters over those that were found; all vertices of these over those that are looked at
