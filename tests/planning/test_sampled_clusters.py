@@ -17,6 +17,7 @@ from prtbake_workers.planning.sampled_clusters import (
     MOST_CLUSTERS,
     MOST_VALUES,
     MOST_VERTS,
+    VERTS_PER_RANK,
     SampledDirections,
     _along_a_curve,
     draw_clusters,
@@ -32,9 +33,9 @@ BASIS = SrbfBasis(icosphere(1))
 GLOSSY = factorise(CookTorrance(np.array([0.3]), np.array([0.7]), 0.5, np.array([0.1])), n_terms=3)
 
 
-def drawn(scene, part, n_clusters, n_values=100):
+def drawn(scene, part, n_clusters, n_values=100, rank=8):
     rng = np.random.default_rng(5)
-    return draw_clusters(scene, part, n_clusters, n_values=n_values, rng=rng)
+    return draw_clusters(scene, part, n_clusters, rank=rank, n_values=n_values, rng=rng)
 
 
 def test_clusters_lie_together():
@@ -99,6 +100,25 @@ def test_many_values_leave_fewer_vertices():
     assert count == 300 // FEWEST_VERTS
     assert len(few) <= 300
     assert len(drawn(BALL, 0, 1)[0]) == MOST_VERTS
+
+
+@pytest.mark.parametrize("rank", [1, 12, 20, 50, 100])
+def test_clusters_have_vertices_for_their_rank(rank):
+    verts, count = drawn(BALL, 0, 6, rank=rank)
+    # a sixth of 2562 vertices, of which clusters overlap little
+    each = max(FEWEST_VERTS, VERTS_PER_RANK * rank)
+    most = min(6, MOST_VERTS // each)
+    assert max(2, 0.7 * most) <= count <= most
+    assert 0.8 * each * most <= len(verts) <= MOST_VERTS
+
+
+def test_a_rank_that_the_limits_do_not_hold_is_not_tried():
+    rank = MOST_VERTS // (2 * VERTS_PER_RANK) + 1
+    assert drawn(BALL, 0, 3, rank=rank)[1] == 0
+    assert drawn(BALL, 0, 3, rank=rank - 1)[1] == 2
+    # one cluster is the whole part; a cluster of few vertices is looked at whole
+    assert drawn(BALL, 0, 1, rank=rank)[1] == 1
+    assert drawn(BALL, 0, 100, rank=rank)[1] == MOST_CLUSTERS
 
 
 def test_transfer_is_that_of_a_bake_in_these_directions():

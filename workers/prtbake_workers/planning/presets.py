@@ -278,6 +278,11 @@ class PartCompression:
     classification: str = "static"
     tasks: int = 1
 
+    @property
+    def rank(self) -> int:
+        """Weights of a vertex."""
+        return self.ranks[2] if self.method == "cta" else self.n_components
+
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "PartCompression":
         """Read back what the job's tasks are given as JSON."""

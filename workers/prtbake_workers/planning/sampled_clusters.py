@@ -17,8 +17,13 @@ FEWEST_CLUSTERS = 2
 MOST_VERTS, FEWEST_VERTS = 800, 48
 """Of all clusters, and of each: fewer clusters are drawn where these are too many."""
 
-MOST_VALUES = 5_000_000
-"""Coefficients of all: 20 MB, and no more than a second's work."""
+VERTS_PER_RANK = 4
+"""Of a cluster at least, unless all it has are fewer.  R columns of n vertices leave 1 - R / n of
+what is noise to them: of as many vertices as columns nothing is left, of four times as many 0.2
+bits a number less than of all."""
+
+MOST_VALUES = 8_000_000
+"""Coefficients of all: 32 MB, and no more than two or three seconds' work."""
 
 PLACE_BITS = 5
 """Of each coordinate of a place along a space-filling curve."""
@@ -46,7 +51,13 @@ class SampledDirections:
 
 
 def draw_clusters(
-    scene: Scene, part: int, n_clusters: int, *, n_values: int, rng: np.random.Generator
+    scene: Scene,
+    part: int,
+    n_clusters: int,
+    *,
+    rank: int,
+    n_values: int,
+    rng: np.random.Generator,
 ) -> tuple[Int64[I64, " verts"], int]:
     """Draw vertices of a part, and say of how many clusters they are.
 
@@ -59,21 +70,33 @@ def draw_clusters(
     ----------
     n_clusters
         That the part will be cut into.
+    rank
+        Weights of a vertex.
     n_values
         Coefficients of a vertex.
+
+    Returns
+    -------
+    ndarray
+        Vertices of the scene.
+    int
+        Clusters that they are of; 0 where so few vertices as are allowed say nothing.
     """
     start, stop = scene.part_ranges[part]
     usable = np.abs(np.linalg.norm(scene.normals[start:stop], axis=1) - 1.0) < 1e-3
     own = start + np.flatnonzero(usable)
     own = own[np.argsort(_along_a_curve(scene.positions[own]), kind="stable")]
     most = min(MOST_VERTS, max(FEWEST_CLUSTERS * FEWEST_VERTS, MOST_VALUES // n_values))
-    drawn = min(n_clusters, max(FEWEST_CLUSTERS, min(MOST_CLUSTERS, most // FEWEST_VERTS)))
+    members = max(1, len(own) // n_clusters)
+    each = min(members, max(FEWEST_VERTS, VERTS_PER_RANK * rank))
+    drawn = min(n_clusters, MOST_CLUSTERS, most // each)
+    if drawn < min(n_clusters, FEWEST_CLUSTERS):
+        return own[:0], 0
     if drawn == n_clusters or not own.size:
         return np.sort(own[_evenly(len(own), most, rng)]), drawn
     places = scene.positions[own] - scene.positions[own].mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum(places**2, axis=1))))
     places = np.concatenate([places / max(size, 1e-30), scene.normals[own]], axis=1)
-    members = max(1, len(own) // n_clusters)
     looked_at = np.zeros(len(own), bool)
     covered = np.zeros(len(own), bool)
     for middle in _evenly(len(own), drawn, rng):

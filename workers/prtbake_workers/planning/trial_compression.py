@@ -96,7 +96,12 @@ def try_parts(
         for index, (part, brdf) in enumerate(zip(plan.parts, factorisations, strict=True)):
             n_values = brdf.n_terms * basis.n
             verts, drawn = draw_clusters(
-                scene, index, part.compression.n_clusters, n_values=n_values, rng=rng
+                scene,
+                index,
+                part.compression.n_clusters,
+                rank=part.compression.rank,
+                n_values=n_values,
+                rng=rng,
             )
             if not verts.size or not brdf.albedo.any():
                 found.append(None)
