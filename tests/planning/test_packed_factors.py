@@ -95,7 +95,23 @@ def test_textures_are_rounded_with_the_factors():
     assert more.texture > found.texture + 0.1
 
 
-def test_dark_vertices_say_nothing():
+@pytest.mark.parametrize("compression", [CPCA, CTA], ids=["cpca", "cta"])
+def test_dark_parts_pack_to_next_to_nothing(compression, tmp_path):
+    dark = np.zeros((N_VERTS, N_TERMS, N_COEFFS), np.float32)
+    whole = whole_part(compression)
+    expected = measured(dark, compression, tmp_path / "file.h5")
+    found = factor_bytes(dark[:50], np.ones(50), 4, whole, share=SHARE)
+    # of some hundred bytes each: what gzip begins with
+    assert abs(found.factors - expected) * whole.factor_floats < 300
+    assert found.factors < 0.02
+    # no area says nothing of what there is
+    assert factor_bytes(dark[:50] + 1.0, np.zeros(50), 4, whole, share=SHARE) is None
+
+
+def test_the_texture_of_a_dark_part_has_eight_bits():
+    rng = np.random.default_rng(1)
+    phi = rng.standard_normal((32, 32, N_TERMS, 1)).astype(np.float32)
     dark = np.zeros((50, N_TERMS, N_COEFFS), np.float32)
-    assert factor_bytes(dark, np.ones(50), 4, whole_part(CPCA), share=SHARE) is None
-    assert factor_bytes(dark + 1.0, np.zeros(50), 4, whole_part(CPCA), share=SHARE) is None
+    found = factor_bytes(dark, np.ones(50), 4, whole_part(CTA, phi), share=SHARE)
+    # normal numbers of which the largest of a thousand is 127 have an entropy of 7.2 bits
+    assert found.texture == pytest.approx(7.2 / 8.0, rel=0.1)

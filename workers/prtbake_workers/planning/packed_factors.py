@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from prtbake_storage.decode.asset import Part
-from prtbake_storage.decode.quantise import Scales, round_part, stored_levels
+from prtbake_storage.decode.quantise import Scales, finest_scale, levels, round_part, stored_levels
 from prtbake_workers.arrays import F32, F64, Float32, Float64
 from prtbake_workers.compress.bit_allocation import (
     AIM,
     LARGEST_STRIDE,
     LEAST_SHARE,
+    LEVEL_OF_IDLE_COLUMNS,
     Steps,
     measured,
 )
@@ -66,7 +67,7 @@ def factor_bytes(
     n_channels: int = 1,
     seed: int = 0,
 ) -> NumberBytes | None:
-    """Compress, round and pack some vertices; None where they carry nothing.
+    """Compress, round and pack some vertices; None where they have no area, and say nothing.
 
     Parameters
     ----------
@@ -80,7 +81,9 @@ def factor_bytes(
         Of the squared error that compression leaves, that rounding adds; or, where it is given, of
         the transfer.
     """
-    if not areas.sum() > 0.0 or not coefficients.any():
+    if not coefficients.any():
+        return _dark_bytes(whole)
+    if not areas.sum() > 0.0:
         return None
     own = areas / areas.sum()
     done = compress(
@@ -103,15 +106,25 @@ def factor_bytes(
     bound = added * done.model.initial_energy
     scales = _scales(part, own, bound, whole, more=more, fuller=fuller)
     packed, numbers, texture = 0.0, 0.0, 0.0
-    for name, levels in round_part(part, scales).items():
-        size = packed_bytes(stored_levels(levels)[0])
+    for name, rounded in round_part(part, scales).items():
+        size = packed_bytes(stored_levels(rounded)[0])
         if name == "view_texture":
-            texture = size / levels.size
+            texture = size / rounded.size
             continue
         times = more * (fuller if name == "weights" else 1.0)
         packed += times * size + more * packed_bytes(scales[name])
-        numbers += times * levels.size
+        numbers += times * rounded.size
     return NumberBytes(packed / numbers, texture) if numbers else None
+
+
+def _dark_bytes(whole: WholePart) -> NumberBytes:
+    """Pack zeros, and a texture whose columns carry nothing, which have 8 bits all the same."""
+    zeros = np.zeros(max(1, whole.factor_floats), np.int8)
+    texture = 0.0
+    if whole.phi is not None:
+        scale = finest_scale(np.abs(whole.phi).max(axis=(0, 1)), LEVEL_OF_IDLE_COLUMNS)
+        texture = packed_bytes(levels(whole.phi, scale).astype(np.int8)) / whole.phi.size
+    return NumberBytes(packed_bytes(zeros) / len(zeros), texture)
 
 
 def _part(factors: dict[str, Any], phi: F32 | None, n_channels: int) -> Part:

@@ -43,7 +43,8 @@ class Trials:
     Attributes
     ----------
     number_bytes
-        Of each part; None where nothing was tried.
+        Of each part; None where nothing was tried.  Of a part that no light reaches directly they
+        are those of zeros: bounces are taken not to reach it either.
     memory_bytes
         Predicted peak, without the interpreter and the scene.
     work
@@ -103,7 +104,7 @@ def try_parts(
                 n_values=n_values,
                 rng=rng,
             )
-            if not verts.size or not brdf.albedo.any():
+            if drawn == 0:
                 found.append(None)
                 continue
             coefficients = sampled_coefficients(scene, verts, brdf, occluders[index], directions)
