@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from prtbake_storage.decode.quantise import INT16_MAX, quantise
+from prtbake_storage.decode.quantise import INT16_MAX, finest_scale
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F32, F64, Float32, Float64
 
 I16 = NDArray[np.int16]
 
-CHUNK_VERTICES = 256
-"""Vertices rounded at a time: 11 MB of float32 at 16 terms x 642 coefficients."""
+CHUNK_NUMBERS = 1 << 16
+"""Coefficients rounded at a time: they and their errors in float64 stay in a cache of 1 MiB."""
 
 ERROR_BOUND = 1.02 / (4.0 * INT16_MAX**2)
 """Squared error of one coefficient over the square of its row's largest: half a step each, the
@@ -72,18 +72,29 @@ def quantise_transfer(coefficients: Float32[F32, "verts terms coeffs"]) -> Quant
     scale = np.empty((n_verts, n_terms), np.float32)
     squared_error = np.zeros(n_verts)
     max_error = 0.0
-    for start in range(0, n_verts, CHUNK_VERTICES):
-        part = slice(start, start + CHUNK_VERTICES)
+    step = max(1, CHUNK_NUMBERS // max(1, n_terms * n_coeffs))
+    for start in range(0, n_verts, step):
+        part = slice(start, start + step)
         block = coefficients[part]
-        if not np.isfinite(block).all():
+        # whatever is not finite shows in its row's peak
+        peak = np.maximum(
+            block.max(axis=2, keepdims=True, initial=0.0),
+            -block.min(axis=2, keepdims=True, initial=0.0),
+        )
+        if not np.isfinite(peak).all():
             vertex, term, index = np.argwhere(~np.isfinite(block))[0].tolist()
             raise SettingsError(
                 f"coefficient {index} of term {term} of vertex {start + vertex} is not finite"
             )
-        packed = quantise(block, (2,))
-        values[part], scale[part] = packed.values, packed.scale[:, :, 0]
-        error = block.astype(np.float64) - packed.dequantised()
-        squared_error[part] = np.einsum("vkc,vkc->v", error, error)
-        max_error = max(max_error, float(np.abs(error).max(initial=0.0)))
+        own = finest_scale(peak.astype(np.float64), INT16_MAX)
+        level = block / np.where(own > 0.0, own, np.inf)
+        np.rint(level, out=level)
+        values[part], scale[part] = level, own[..., 0]
+        # exact in float32: level x scale takes 24 bits, and lies close to what it rounds
+        level *= own
+        error = np.subtract(block, level, out=level)
+        max_error = max(max_error, float(error.max(initial=0.0)), -float(error.min(initial=0.0)))
+        exact = error.astype(np.float64)
+        squared_error[part] = np.vecdot(exact, exact).sum(axis=1)
     mean = squared_error.sum() / max(1, n_verts * n_terms * n_coeffs)
     return QuantisedTransfer(values, scale, squared_error, max_error, float(np.sqrt(mean)))
