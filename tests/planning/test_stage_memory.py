@@ -78,10 +78,17 @@ def test_light_on_the_basis_is_held_at_a_few_directions_at_once():
 
 
 def test_the_other_stages_grow_with_what_they_hold():
-    assert add_bounces_memory_bytes(0) == CHILD_BYTES
-    assert add_bounces_memory_bytes(2_000_000) - add_bounces_memory_bytes(1_000_000) == (
-        pytest.approx(14.5e6)
+    assert add_bounces_memory_bytes(0, 642) == CHILD_BYTES
+    # direct light and the sum in float32, and one block in 16 and 32 bits
+    assert add_bounces_memory_bytes(20_000, 100) - add_bounces_memory_bytes(10_000, 100) == (
+        pytest.approx(14e6)
     )
+    # colours share the direct light; smaller blocks leave what rounding holds
+    assert add_bounces_memory_bytes(20_000, 300, n_channels=3) < (
+        add_bounces_memory_bytes(20_000, 300)
+    )
+    whole, halves, many = (add_bounces_memory_bytes(20_000, 99, n_blocks=n) for n in (1, 2, 99))
+    assert whole > halves > many == add_bounces_memory_bytes(20_000, 99, n_blocks=3)
     one = quantise_memory_bytes([(100, 600), (REBUILT_VERTS, 600)])
     assert one == quantise_memory_bytes([(9 * REBUILT_VERTS, 600)])
     assert one > quantise_memory_bytes([(100, 600)])

@@ -6,6 +6,7 @@ What it will take is predicted by `stage_work` and `rates`.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from prtbake_workers.compress.energy import CHUNK_BYTES as ROWS_BYTES
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.transport.bake import CHUNK_BYTES
 
@@ -34,8 +35,9 @@ GROUP_VERTS, GROUPS = 64, 16
 """Vertices with much the same normal: a share of the tile's, and no fewer than so many."""
 THREADS = 2
 """Of compression, as settings have it unless they say otherwise."""
-ROW_CHUNK_BYTES = 10_000_000
-"""Of rows that a thread of compression works on at once."""
+COMPRESS_CHILD_BYTES = 137_000_000
+"""The interpreter with what compression imports, its threads and files open, as the smallest parts
+take."""
 HELD_BYTES = 1 << 30
 """Of a part's float32 coefficients, up to which a tensor approximation holds them in memory."""
 READ_CHUNK_BYTES = 200_000_000
@@ -107,7 +109,8 @@ def plan_memory_bytes(bake: PlannedBake, *, probe_bytes: int = 0) -> int:
     or by choosing directions or centres (`probe_memory_bytes`).
     """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
-    solving = 8 * (3 * n_dirs * n_coeffs + 7 * n_coeffs**2)
+    # functions in all directions: cosines, these within bounds, their exponents, the values
+    solving = 8 * (4 * n_dirs * n_coeffs + 7 * n_coeffs**2)
     return CHILD_BYTES + max(solving, probe_bytes)
 
 
@@ -168,18 +171,10 @@ def part_cost(
     n_coeffs = bake.n_coeffs
     values = n_verts * n_channels * n_terms * n_coeffs
     clusters = min(compression.n_clusters, n_verts)
-    # clusters differ in size: the largest has about twice the vertices of the mean one
-    members = min(n_verts, 2 * n_verts // clusters)
     if compression.method == "cta":
-        view, light, _ = compression.ranks
-        seen = n_verts * n_channels * view * n_coeffs
-        # rows are projected and compared a chunk at a time, by each thread
-        memory = 6 * values + 14 * seen + THREADS * min(4 * seen, ROW_CHUNK_BYTES)
-        if 4 * values > HELD_BYTES or compression.tasks > 1:
-            row = 6 * n_channels * n_terms * n_coeffs + 8 * n_channels * view * n_coeffs
-            read = THREADS * max(READ_CHUNK_BYTES, members * row)
-            memory = min(memory, 4 * n_verts * n_channels * n_terms + read)
-        memory += THREADS * _decomposition_bytes(members, n_channels * view * light)
+        memory = _tensor_bytes(
+            compression, n_verts=n_verts, n_terms=n_terms, n_coeffs=n_coeffs, n_channels=n_channels
+        )
     else:
         # a vertex's matrix is one signal, of which a cluster keeps its mean and components
         rank, dims = compression.n_components, n_channels * n_terms * n_coeffs
@@ -203,6 +198,37 @@ def part_cost(
     )
 
 
+def _tensor_bytes(
+    compression: PartCompression, *, n_verts: int, n_terms: int, n_coeffs: int, n_channels: int
+) -> int:
+    """Transfer and what the view basis sees of it, with what threads make of chunks and clusters.
+
+    The allocator keeps what clusters freed while the view basis, which changed, is projected on
+    anew: the two stand side by side.
+    """
+    view, light, _ = compression.ranks
+    columns = n_channels * view * light
+    clusters = min(compression.n_clusters, n_verts)
+    threads = min(THREADS, clusters)
+    # clusters differ in size: the largest has about twice the vertices of the mean one
+    largest = min(n_verts, 2 * n_verts // clusters)
+    members = min(largest, n_verts // threads)
+    values, seen = (4 * n_channels * rows * n_coeffs for rows in (n_terms, view))
+    # of a chunk: what the view basis sees, what that gives back, and the rest
+    projected = min(n_verts * values, THREADS * ROWS_BYTES) * (2 + view / n_terms)
+    # of a cluster: its rows with their fit and what that leaves, or with what finds its bases; or
+    # all of its transfer, for the view basis
+    decomposed = _decomposition_bytes(members, columns)
+    fitted = max(3 * members * seen, members * seen + decomposed, members * values)
+    held = n_verts * (values + seen) + round(projected) + threads * fitted
+    if n_verts * values <= HELD_BYTES and compression.tasks == 1:
+        return held
+    row = 6 * n_channels * n_terms * n_coeffs + 2 * seen
+    read = THREADS * max(READ_CHUNK_BYTES, largest * row)
+    read += THREADS * _decomposition_bytes(largest, columns)
+    return min(held, 4 * n_verts * n_channels * n_terms + read)
+
+
 def _decomposition_bytes(n_rows: int, n_columns: int) -> int:
     """Rows in float64 and their copy, and the shorter side's Gram matrix with what solves it."""
     return 16 * n_rows * n_columns + 48 * min(n_rows, n_columns) ** 2
@@ -210,4 +236,4 @@ def _decomposition_bytes(n_rows: int, n_columns: int) -> int:
 
 def compress_memory_bytes(costs: Sequence[PartCost]) -> int:
     """Predict the peak memory of compressing the largest part, the interpreter included."""
-    return CHILD_BYTES + max(cost.compress_memory_bytes for cost in costs)
+    return COMPRESS_CHILD_BYTES + max(cost.compress_memory_bytes for cost in costs)

@@ -308,14 +308,19 @@ def make_plan(
             scattering,
             medium_channels={part: own.n_channels for part, own in media.items()},
             n_coeffs=bake.n_coeffs,
+            lobes=[part.lobe for part in parts],
         )
         work |= added_work
         memory |= added_memory
         tiles = sum(len(part.tiles) for part in parts)
-        memory["add_bounces"] = add_bounces_memory_bytes(
-            n_channels
-            * bake.n_coeffs
-            * max(part.n_terms * (stop - start) for part in parts for start, stop in part.tiles)
+        memory["add_bounces"] = max(
+            add_bounces_memory_bytes(
+                max(stop - start for start, stop in part.tiles),
+                n_channels * part.n_terms * bake.n_coeffs,
+                n_channels=n_channels,
+                n_blocks=len(bounces.blocks),
+            )
+            for part in parts
         )
         work["add_bounces"] = {"tasks": float(tiles), "values": work["join"]["values"]}
     return Plan(

@@ -29,6 +29,7 @@ from prtbake_workers.planning.scattering_cost import (
     scattering_memory_bytes,
 )
 from prtbake_workers.planning.search_work import searched_work
+from prtbake_workers.planning.stage_memory import Lobe
 from prtbake_workers.planning.stage_work import (
     bake_work,
     bounce_work,
@@ -144,6 +145,7 @@ def bounce_costs(
     *,
     medium_channels: Mapping[int, int],
     n_coeffs: int,
+    lobes: Sequence[Lobe],
 ) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
     """Count the work of the stages of bounces and scattering, and predict their memory.
 
@@ -185,6 +187,7 @@ def bounce_costs(
             hit_share=decided.evidence["hit_share"],
             n_channels=bounces.n_channels,
             n_columns=n_columns,
+            smoothed=[lobe == "isotropic" and bounces.max_bounces > 0 for lobe in lobes],
             scattering_bytes=scattering_memory_bytes(
                 n_verts, scattering, medium_channels, n_columns=n_columns
             ),

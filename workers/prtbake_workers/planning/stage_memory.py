@@ -21,6 +21,7 @@ from prtbake_workers.planning.light_pieces import (
 )
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.seen_pixels import SeenPixels
+from prtbake_workers.transport.quantise import CHUNK_VERTICES
 from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
 
 Lobe = Literal["none", "isotropic", "anisotropic"]
@@ -37,36 +38,59 @@ FIT_SAMPLE_BYTES, PIECE_BYTES = 112, 137
 PIXEL_BYTES = 370
 """Of a preview, at four points a pixel."""
 
-VALUE_BYTES = 14.5
-"""Of a coefficient of a tile that bounces are laid over."""
+ROUNDED_VALUE_BYTES = 27
+"""Of a coefficient of the vertices that are rounded at a time: in float64 with what rounding leaves
+of it, its square, and copies in 16 and 32 bits."""
 
 REBUILT_BYTES, REBUILT_VERTS = 20, 2048
 """Of a coefficient that quantisation is measured by, at so many vertices at once."""
 
-VALIDATE_BYTES = 25_000_000
-"""Of scene, assets and tables of a validation that is about to begin."""
+VALIDATE_BYTES, GLOSSY_VALIDATE_BYTES = 20_000_000, 38_000_000
+"""Of scene, assets and tables of a validation that is about to begin, as measured on jobs with
+diffuse parts alone and with glossy ones: of what finds their exact terms the allocator keeps."""
 
-SAMPLE_BYTES: dict[Lobe, int] = {"none": 165, "isotropic": 240, "anisotropic": 190}
-SAMPLE_TERM_BYTES = 14
-"""Of a light sample at a pixel, by what reflects it there, and of each term but for none."""
+DIFFUSE_SAMPLE_BYTES, LOBE_SAMPLE_BYTES = 80, 150
+"""Of a light sample at a pixel, as if each were lit.  The cosine and its product with the
+reflection, the local direction, and that of what is lit, its place and its reflection; of a lobe
+some eight numbers of the half vector in float64 besides."""
 
-CELL_BYTES: dict[Lobe, int] = {"none": 130, "isotropic": 140, "anisotropic": 145}
-CELL_TERM_BYTES: dict[Lobe, int] = {"none": 0, "isotropic": 10, "anisotropic": 15}
-"""Of a vertex in one of the bake's directions, and of each term."""
+LIT_BYTES, LIT_TERM_BYTES = 72, 32
+"""The same where terms are gathered: of a term, by table and exactly at once, what is evaluated,
+laid out and multiplied by the cosine, each in float64."""
+
+CELL_BYTES: dict[Lobe, int] = {"none": 52, "isotropic": 52, "anisotropic": 0}
+CELL_TERM_BYTES: dict[Lobe, int] = {"none": 20, "isotropic": 20, "anisotropic": 32}
+"""Of a vertex in one of the bake's directions, of which half are lit, and of each term: laid out,
+multiplied and evaluated.  An anisotropic one is summed of four corners of a table, beside which the
+directions are few."""
 
 PATH_BYTES, INSIDE_PATH_BYTES = 600, 1150
 """Of a path, and of one that begins where light is scattered inside."""
 
-LIGHT_VALUES = 4
-"""Float64 of a function of the basis in a direction, at `LIGHT_CHUNK` directions at once."""
+LIGHT_VALUES, PROJECTION_VALUES = 4, 3
+"""Float64 of a function of the basis in a direction: of light, at `LIGHT_CHUNK` directions at once,
+and of the bake, where the projection stands beside the basis and its product with the weights."""
 
 CHAIN_BYTES = 96
 """Of a pixel and pass: four pictures of three colours."""
 
 
-def add_bounces_memory_bytes(values: int) -> int:
-    """Predict what laying bounces over a tile of so many coefficients, all channels, holds."""
-    return CHILD_BYTES + round(VALUE_BYTES * values)
+def add_bounces_memory_bytes(
+    verts: int, values: int, *, n_channels: int = 1, n_blocks: int = 1
+) -> int:
+    """Predict what laying bounces over a tile holds.
+
+    Direct light and the sum in float32, with one of ``n_blocks`` in 16 bits and in float32, and
+    later the whole in 16 bits with those vertices in float64 that are being rounded.
+
+    Parameters
+    ----------
+    verts, values
+        Of the tile: vertices, and coefficients of each, all channels.
+    """
+    whole = verts * values
+    rounding = 2 * whole + ROUNDED_VALUE_BYTES * min(verts, CHUNK_VERTICES) * values
+    return CHILD_BYTES + 4 * whole // n_channels + 4 * whole + max(6 * whole // n_blocks, rounding)
 
 
 def quantise_memory_bytes(parts: Sequence[tuple[int, int]]) -> int:
@@ -119,10 +143,11 @@ def validate_memory_bytes(
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
     at_once = min(LIGHT_CHUNK, cut_texels(n_texels, spacing_of(bake, n_coeffs)))
     # what the environment is on the basis, beside the projection and the roots of the Gram matrix
-    light = 8 * n_coeffs * (LIGHT_VALUES * at_once + 2 * n_dirs + 2 * n_coeffs)
+    light = 8 * n_coeffs * (LIGHT_VALUES * at_once + PROJECTION_VALUES * n_dirs + 2 * n_coeffs)
+    glossy = any(lobe != "none" for lobe in lobes)
     return (
         CHILD_BYTES
-        + VALIDATE_BYTES
+        + (GLOSSY_VALIDATE_BYTES if glossy else VALIDATE_BYTES)
         + max(
             max(
                 light,
@@ -149,8 +174,10 @@ def _part_bytes(
 ) -> int:
     """Of lighting a part's pixels by samples, or its vertices from all directions, in blocks."""
     most = min(RAYS_PER_BLOCK, VALUES_PER_BLOCK // terms)
-    of_terms = 0 if lobe == "none" else terms
+    sample = DIFFUSE_SAMPLE_BYTES
+    if lobe != "none":
+        sample = max(LOBE_SAMPLE_BYTES, LIT_BYTES + LIT_TERM_BYTES * terms if terms > 1 else 0)
     return max(
-        min(most, pixels * samples) * (SAMPLE_BYTES[lobe] + SAMPLE_TERM_BYTES * of_terms),
-        min(most, vertices * n_dirs) * (CELL_BYTES[lobe] + CELL_TERM_BYTES[lobe] * of_terms),
+        min(most, pixels * samples) * sample,
+        min(most, vertices * n_dirs) * (CELL_BYTES[lobe] + CELL_TERM_BYTES[lobe] * terms),
     )
