@@ -8,6 +8,7 @@ from prtbake_workers.compress.cta import CtaRanks, compress_cta
 from prtbake_workers.compress.pca import compress_pca
 from prtbake_workers.compress.vq import compress_vq
 from prtbake_workers.planning.cost import (
+    CHILD_BYTES,
     HELD_BYTES,
     compress_memory_bytes,
     part_cost,
@@ -91,3 +92,24 @@ def test_costs_go_by_the_coefficients_of_either_basis():
     assert tile_memory_bytes(settings, n_terms=4, n_verts=VERTS) < tile_memory_bytes(
         BAKE, n_terms=4, n_verts=VERTS
     )
+
+
+def test_tensors_take_what_stands_side_by_side():
+    """Measured on jobs with two threads, MB: transfer, its view and chunks, and their clusters."""
+    low, medium = (
+        BAKE.model_copy(update={"n_centres": 162}),
+        BAKE.model_copy(update={"n_centres": 642}),
+    )
+    sphere, teapot = 10_242, 4_658
+    for bake, n_verts, n_terms, clusters, ranks, measured in (
+        (medium, sphere, 14, 28, (8, 48, 24), 955e6),
+        (medium, sphere, 12, 21, (6, 32, 16), 847e6),
+        (medium, teapot, 15, 13, (15, 83, 42), 802e6),
+        (low, sphere, 15, 14, (12, 28, 14), 575e6),
+        (low, sphere, 3, 21, (3, 32, 16), 259e6),
+    ):
+        compression = PartCompression("cta", clusters, ranks, n_components=0)
+        cost = part_cost(bake, compression, n_verts=n_verts, n_terms=n_terms)
+        assert compress_memory_bytes([cost]) == pytest.approx(measured, rel=0.12)
+        # negative twin: without what threads work on it is less
+        assert 4 * n_verts * bake.n_coeffs * (n_terms + ranks[0]) + CHILD_BYTES < 0.88 * measured

@@ -12,7 +12,7 @@ from prtbake_storage.contract.settings import MEDIUM_PATHS, RenderSettings, Vali
 from prtbake_storage.decode.light import VALUES_AT_A_TIME
 from prtbake_storage.decode.transfer_basis import LIGHT_CHUNK
 from prtbake_workers.environment.fit.objective import SOLVED_AT_A_TIME
-from prtbake_workers.planning.cost import CHILD_BYTES
+from prtbake_workers.planning.cost import CHILD_BYTES, GLOSSY_BYTES
 from prtbake_workers.planning.light_pieces import (
     FitSamples,
     cut_texels,
@@ -27,10 +27,11 @@ from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
 Lobe = Literal["none", "isotropic", "anisotropic"]
 """What a BRDF has beside its diffuse part."""
 
-REPORT_BYTES = 121_000_000
+REPORT_BYTES = 161_000_000
 FIT_BYTES = 124_000_000
 RENDER_BYTES = 165_000_000
-"""Of the interpreter with what each imports; of rendering with its drivers too."""
+"""Of the interpreter with what each imports; of rendering with its drivers too, of a report with
+what draws its figures."""
 
 FIT_SAMPLE_BYTES, PIECE_BYTES = 112, 137
 """Of a sample of the light that lobes are fitted in, and of a piece that it is projected from."""
@@ -45,9 +46,9 @@ of it, its square, and copies in 16 and 32 bits."""
 REBUILT_BYTES, REBUILT_VERTS = 20, 2048
 """Of a coefficient that quantisation is measured by, at so many vertices at once."""
 
-VALIDATE_BYTES, GLOSSY_VALIDATE_BYTES = 20_000_000, 38_000_000
-"""Of scene, assets and tables of a validation that is about to begin, as measured on jobs with
-diffuse parts alone and with glossy ones: of what finds their exact terms the allocator keeps."""
+VALIDATE_BYTES, SEVERAL_TERMS_BYTES = 20_000_000, 38_000_000
+"""Of scene, assets and tables of a validation that is about to begin, as measured on 60 jobs: of
+parts with a term each, and of more, as the allocator keeps some of what found their exact terms."""
 
 DIFFUSE_SAMPLE_BYTES, LOBE_SAMPLE_BYTES = 80, 150
 """Of a light sample at a pixel, as if each were lit.  The cosine and its product with the
@@ -144,10 +145,11 @@ def validate_memory_bytes(
     at_once = min(LIGHT_CHUNK, cut_texels(n_texels, spacing_of(bake, n_coeffs)))
     # what the environment is on the basis, beside the projection and the roots of the Gram matrix
     light = 8 * n_coeffs * (LIGHT_VALUES * at_once + PROJECTION_VALUES * n_dirs + 2 * n_coeffs)
-    glossy = any(lobe != "none" for lobe in lobes)
-    return (
-        CHILD_BYTES
-        + (GLOSSY_VALIDATE_BYTES if glossy else VALIDATE_BYTES)
+    held = VALIDATE_BYTES if max(part_terms) == 1 else SEVERAL_TERMS_BYTES
+    found = GLOSSY_BYTES if any(lobe != "none" for lobe in lobes) else 0
+    return CHILD_BYTES + max(
+        found,
+        held
         + max(
             max(
                 light,
@@ -160,7 +162,7 @@ def validate_memory_bytes(
             )
             + CHAIN_BYTES * one.pixels * settings.passes * len(settings.rotations_deg)
             for one in seen
-        )
+        ),
     )
 
 
