@@ -203,8 +203,8 @@ def _tensor_bytes(
 ) -> int:
     """Transfer and what the view basis sees of it, with what threads make of chunks and clusters.
 
-    The allocator keeps what clusters freed while the view basis, which changed, is projected on
-    anew: the two stand side by side.
+    What clusters freed is counted beside the projection on the view basis that follows: resident
+    memory, traced in four jobs, has not fallen by then, which is taken to be the allocator's doing.
     """
     view, light, _ = compression.ranks
     columns = n_channels * view * light
