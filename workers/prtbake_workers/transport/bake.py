@@ -22,9 +22,11 @@ from prtbake_workers.transport.left_side import (
     Sampling,
     Workspace,
     local_directions,
+    unfold_pairs,
     visible_share,
     weighted_transport,
 )
+from prtbake_workers.transport.mirrored import MirroredProduct, PairedDirections, mirrored_product
 from prtbake_workers.transport.projection import VertexGroup, plan_projection
 from prtbake_workers.transport.visibility import padded_directions
 
@@ -90,7 +92,6 @@ class BakedBlock:
 @dataclass(frozen=True)
 class _Chunk:
     vertices: I64
-    coefficients: F32
     signal_energy: F64
     residual_energy: F64
     n_rays: int
@@ -163,6 +164,10 @@ def bake_block(
         raise SettingsError(
             f"the projection is for {len(projection.samples)} directions, not {directions.n}"
         )
+    n_verts, n_terms = stop - start, factorisation.n_terms
+    plan = plan_projection(scene.normals[start:stop], directions.directions, n_terms)
+    mirrored = mirrored_product(projection, directions.directions)
+    coefficients = np.zeros((n_verts, n_terms, projection.n_coeffs), np.float32)
     epsilon = ray_epsilon(scene.bounds)
     baker = _Baker(
         accelerator=accelerator if shadows else None,
@@ -170,22 +175,21 @@ def bake_block(
         frames=scene.frames[start:stop],
         factorisation=factorisation,
         projection=projection,
+        mirrored=mirrored,
         sampling=Sampling.of(
             directions.directions,
             padded_directions(directions.sub_directions(supersample)),
             projection,
+            with_matrix=mirrored is None,
         ),
+        coefficients=coefficients,
     )
-    n_verts, n_terms = stop - start, factorisation.n_terms
-    plan = plan_projection(scene.normals[start:stop], directions.directions, n_terms)
-    coefficients = np.zeros((n_verts, n_terms, projection.n_coeffs), np.float32)
     signal, residual = np.zeros(n_verts), np.zeros(n_verts)
     n_rays = n_culled = n_direct = done = 0
     seconds = np.zeros(len(STAGES))
     chunks = plan.chunks(CHUNK_BYTES // (4 * n_terms))
     with threadpool_limits(limits=1, user_api="blas"):
         for chunk in _in_threads(baker.bake, chunks, threads):
-            coefficients[chunk.vertices] = chunk.coefficients
             signal[chunk.vertices] = chunk.signal_energy
             residual[chunk.vertices] = chunk.residual_energy
             n_rays += chunk.n_rays
@@ -220,20 +224,25 @@ class _Baker:
         frames: Float64[F64, "verts 3 3"],
         factorisation: Factorisation,
         projection: LeastSquaresProjection,
+        mirrored: MirroredProduct | None,
         sampling: Sampling,
+        coefficients: Float32[F32, "verts terms coeffs"],
     ) -> None:
         self.accelerator = accelerator
         self.origins = origins
         self.frames = frames
         self.factorisation = factorisation
         self.projection = projection
+        self.mirrored = mirrored
         self.sampling = sampling
+        self.coefficients = coefficients
         self.own = thread_local()
 
     def bake(self, group: VertexGroup) -> _Chunk:
-        """Bake the vertices of a group."""
-        work, sampling = self._workspace(group)
+        """Bake the vertices of a group: its rows of the coefficients, which no other writes."""
+        work, sampling, paired = self._workspace(group)
         vertices = group.vertices
+        directions = group.directions if paired is None else paired.directions
         frames = self.frames[vertices]
         clock = [perf_counter()]
         local = local_directions(frames, sampling, work)
@@ -250,37 +259,60 @@ class _Baker:
         clock.append(perf_counter())
         terms, signal = weighted_transport(self.factorisation, local, share, sampling, work)
         clock.append(perf_counter())
-        n_rows = terms.shape[0] * terms.shape[1]
-        product = work.array("product", (n_rows, self.projection.n_coeffs))
-        np.matmul(terms.reshape(n_rows, -1), sampling.matrix, out=product)
-        # a copy even where one vertex or one term makes the transpose a view of the buffer
-        coefficients = product.reshape(*terms.shape[:2], -1).transpose(1, 0, 2).copy()
+        product = self._multiply(terms, sampling, paired, work)
         clock.append(perf_counter())
-        residual = self.projection.residual_energy(signal, coefficients)
+        residual = self._residual(vertices, signal, product, work)
         small = np.flatnonzero((residual < CANCELLATION_LIMIT * signal) & (signal > 0.0))
         for vertex in small:
             residual[vertex] = self._direct(
-                terms[:, vertex], coefficients[vertex], group.directions
+                terms[:, vertex], int(vertices[vertex]), sampling, directions
             )
         clock.append(perf_counter())
         return _Chunk(
-            vertices, coefficients, signal, residual, n_rays, n_culled, len(small),
+            vertices, signal, residual, n_rays, n_culled, len(small),
             tuple(np.diff(clock)),
         )  # fmt: skip
 
-    def _workspace(self, group: VertexGroup) -> tuple[Workspace, Sampling]:
+    def _workspace(self, group: VertexGroup) -> tuple[Workspace, Sampling, PairedDirections | None]:
         """Buffers of this thread and the group's directions, kept while the group stays."""
         own = self.own
         if not hasattr(own, "work"):
             own.work, own.directions = Workspace(), None
         if own.directions is not group.directions:
-            own.directions, own.sampling = group.directions, self.sampling.pick(group.directions)
-        return own.work, own.sampling
+            own.directions, own.paired = group.directions, None
+            if self.mirrored is None:
+                own.sampling = self.sampling.pick(group.directions)
+            else:
+                own.paired = self.mirrored.pair(group.directions)
+                own.sampling = self.sampling.pick(own.paired.directions, own.paired.n_pairs)
+        return own.work, own.sampling, own.paired
 
-    def _direct(self, weighted: F32, coefficients: F32, directions: I64) -> float:
+    def _multiply(
+        self, terms: F32, sampling: Sampling, paired: PairedDirections | None, work: Workspace
+    ) -> F32:
+        """Multiply samples and matrix: coefficients, or combinations of them."""
+        if self.mirrored is not None and paired is not None:
+            return self.mirrored.multiply(terms, paired, work)
+        product = work.array("product", (terms[..., 0].size, self.projection.n_coeffs))
+        np.matmul(terms.reshape(len(product), -1), sampling.matrix, out=product)
+        return product.reshape(*terms.shape[:2], -1)
+
+    def _residual(self, vertices: I64, signal: F64, product: F32, work: Workspace) -> F64:
+        """Write the coefficients of a product and give what they lose of the signal."""
+        if self.mirrored is not None:
+            explained = self.mirrored.unfold(product, self.coefficients, vertices, work)
+            return np.maximum(signal - explained, 0.0)
+        coefficients = product.transpose(1, 0, 2).copy()
+        self.coefficients[vertices] = coefficients
+        return self.projection.residual_energy(signal, coefficients)
+
+    def _direct(self, weighted: F32, vertex: int, sampling: Sampling, directions: I64) -> float:
+        unfolded = weighted.copy()
+        unfold_pairs(unfolded, sampling.n_pairs)
         samples = np.zeros((1, len(weighted), self.projection.samples.shape[0]))
-        samples[0, :, directions] = (weighted / self.sampling.root_weights[directions]).T
-        return float(self.projection.residual_energy_direct(samples, coefficients[None])[0])
+        samples[0, :, directions] = (unfolded / sampling.root_weights).T
+        own = self.coefficients[vertex][None]
+        return float(self.projection.residual_energy_direct(samples, own)[0])
 
 
 def _in_threads(

@@ -27,32 +27,45 @@ class Sampling:
     root_weights
         Square roots of the solid angles.
     matrix
-        Projection matrix over root weights: takes weighted samples to whitened coefficients.
+        Projection matrix over root weights: takes weighted samples to whitened coefficients; no
+        columns where a `MirroredProduct` does.
+    n_pairs
+        Pairs of directions whose samples are folded, see `fold_pairs`.
     """
 
     samples: Float32[F32, "samples dirs 4"]
     centres: Float32[F32, "3 dirs"]
     root_weights: Float32[F32, " dirs"]
     matrix: Float32[F32, "dirs coeffs"]
+    n_pairs: tuple[int, int] = (0, 0)
 
     @classmethod
-    def of(cls, directions: F64, samples: F32, projection: LeastSquaresProjection) -> "Sampling":
+    def of(
+        cls,
+        directions: F64,
+        samples: F32,
+        projection: LeastSquaresProjection,
+        *,
+        with_matrix: bool = True,
+    ) -> "Sampling":
         """Convert to float32 once; ``samples`` as from `padded_directions`."""
         roots = np.sqrt(projection.weights)
+        matrix = projection.matrix[:, : None if with_matrix else 0]
         return cls(
             samples=samples,
             centres=np.ascontiguousarray(directions.T, dtype=np.float32),
             root_weights=roots.astype(np.float32),
-            matrix=(projection.matrix / roots[:, None]).astype(np.float32),
+            matrix=(matrix / roots[:, None]).astype(np.float32),
         )
 
-    def pick(self, directions: np.ndarray) -> "Sampling":
-        """Keep some of the directions."""
+    def pick(self, directions: np.ndarray, n_pairs: tuple[int, int] = (0, 0)) -> "Sampling":
+        """Keep some of the directions, which may be in pairs."""
         return Sampling(
             samples=self.samples.take(directions, axis=1),
             centres=self.centres.take(directions, axis=1),
             root_weights=self.root_weights.take(directions),
             matrix=self.matrix.take(directions, axis=0),
+            n_pairs=n_pairs,
         )
 
 
@@ -69,6 +82,31 @@ class Workspace:
         if buffer is None or buffer.size < size:
             buffer = self._buffers[name] = np.empty(size, np.float32)
         return buffer[:size].reshape(shape)
+
+
+def fold_pairs(samples: Float32[F32, "terms verts dirs"], n_pairs: tuple[int, int]) -> None:
+    """Replace the samples of pairs by sum and difference, in place.
+
+    Parameters
+    ----------
+    samples
+        Runs of n firsts and n seconds, one after the other.
+    n_pairs
+        n of each two runs; what lies behind stays.
+    """
+    start = 0
+    for n in n_pairs:
+        first, second = samples[..., start : start + n], samples[..., start + n : start + 2 * n]
+        total = first + second
+        np.subtract(first, second, out=second)
+        first[...] = total
+        start += 2 * n
+
+
+def unfold_pairs(samples: Float32[F32, "terms dirs"], n_pairs: tuple[int, int]) -> None:
+    """Undo `fold_pairs`."""
+    fold_pairs(samples[:, None], n_pairs)
+    samples[:, : 2 * sum(n_pairs)] *= np.float32(0.5)
 
 
 def local_directions(
@@ -127,8 +165,8 @@ def weighted_transport(
     Returns
     -------
     terms, energy
-        The samples, and the sum of their squares for each vertex: rows in float32 blocks, the sum
-        over terms in float64.
+        The samples, sums and differences where directions are in pairs, and the sum of the samples'
+        squares for each vertex: rows in float32 blocks, the sum over terms in float64.
     """
     n_verts, n_dirs = share.shape
     terms = work.array("terms", (factorisation.n_terms, n_verts, n_dirs))
@@ -143,4 +181,5 @@ def weighted_transport(
         factorisation.psi_lookup(x, y, z, rows.reshape(len(rows), -1))
         rows *= common
         np.vecdot(rows, rows, out=squares[:, part])
+        fold_pairs(rows, sampling.n_pairs)
     return terms, squares.sum(axis=0, dtype=np.float64)

@@ -2,7 +2,8 @@
 
 Half of every vertex's samples are zero: the directions under its horizon.  Vertices whose normals
 lie in one narrow cone share the list of directions that any of them can see, and the product of
-samples and projection matrix runs over those alone.
+samples and projection matrix runs over those alone, two at a time where a `MirroredProduct` pairs
+them.
 """
 
 from collections.abc import Iterator

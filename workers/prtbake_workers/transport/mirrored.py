@@ -1,0 +1,293 @@
+"""The projection's product in parts that a mirror and the inversion of all directions keep apart.
+
+A cube map and an icosphere (or spherical harmonics) look the same mirrored in z and turned inside
+out.  Sums and differences of samples in directions that a symmetry swaps then reach only the even
+or only the odd combinations of coefficients: half of the product's multiplications, a quarter of
+the residual's.
+"""
+
+import weakref
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
+from prtbake_workers.basis.projection import LeastSquaresProjection
+from prtbake_workers.transport.left_side import Workspace
+
+MIRRORS = (2, 1, 0)
+"""Axes whose mirror is tried."""
+
+ASYMMETRY = 1e-9
+"""Largest deviation from symmetry, relative: far below float32, above what whitening leaves."""
+
+CACHED_ROWS = 128
+"""Rows of coefficients unfolded at a time: 0.3 MB at 642."""
+
+PARITIES = np.array([[1, -1], [1, 1], [-1, -1], [-1, 1]])
+"""Of the four blocks of combinations: signs under the mirror and under the inversion."""
+
+
+class PairedDirections(NamedTuple):
+    """The directions of a group, those that a symmetry swaps in two runs of equal length."""
+
+    directions: Int64[I64, " dirs"]
+    """n of one kind, their mirror images; m of the other, the same turned by 180 degrees."""
+    n_pairs: tuple[int, int]
+    """n and m."""
+    matrices: tuple[Float32[F32, "mirrored wide"], Float32[F32, "turned wide"]]
+    """Rows of the projection for the first of each pair."""
+
+
+@dataclass(frozen=True)
+class MirroredProduct:
+    """A projection in combinations of coefficients that are even or odd under two symmetries.
+
+    ``t = s P = (s P') E^T`` with entries 0 and +-1 in E, ``P' = P E (E^T E)^-1``.
+
+    Attributes
+    ----------
+    orbits
+        Directions d, mirrored M d, inverted -d and -M d, one column each four.
+    matrix
+        P' over the root weights; the first block of columns again at the end.
+    offsets
+        Where the blocks of `PARITIES` start, and their end.
+    quadratic
+        For each block the residual's quadratic form less the identity's.
+    fours, twos, ones
+        Combinations that make four coefficients (one in each block), two, or are one.
+    places, signs
+        Where in that order each coefficient is found, and its sign; None if all are positive.
+    """
+
+    orbits: Int64[I64, "4 orbits"]
+    matrix: Float32[F32, "dirs wide"]
+    offsets: tuple[int, ...]
+    quadratic: tuple[F32, ...]
+    fours: int
+    twos: Int64[I64, "2 pairs"]
+    ones: Int64[I64, " ones"]
+    places: Int64[I64, " coeffs"]
+    signs: Float32[F32, " coeffs"] | None
+
+    @classmethod
+    def of(
+        cls, projection: LeastSquaresProjection, directions: Float64[F64, "dirs 3"]
+    ) -> "MirroredProduct | None":
+        """Find a mirror and the inversion in a projection; None where it lacks them."""
+        inverted = _image(projection, directions, -np.ones(3))
+        if inverted is None:
+            return None
+        for axis in MIRRORS:
+            mirrored = _image(projection, directions, np.where(np.arange(3) == axis, -1.0, 1.0))
+            # what their product leaves in place would be paired with itself
+            if mirrored is not None and (mirrored.directions != inverted.directions).all():
+                return _product(projection, mirrored, inverted)
+        return None
+
+    def pair(self, directions: Int64[I64, " seen"]) -> PairedDirections:
+        """Pair the directions that a group sees; partners that it does not see are added."""
+        seen = np.zeros(len(self.matrix), np.bool_)
+        seen[directions] = True
+        here, mirrored, inverted, turned = seen[self.orbits]
+        by_mirror = np.stack([here | mirrored, inverted | turned])
+        by_turn = np.stack([here | turned, inverted | mirrored])
+        mirror = by_mirror.sum(axis=0) <= by_turn.sum(axis=0)
+        d, m, i, t = self.orbits
+        runs, matrices = [], []
+        for wanted, partners in ((by_mirror & mirror, (m, t)), (by_turn & ~mirror, (t, m))):
+            firsts = np.concatenate([d[wanted[0]], i[wanted[1]]])
+            runs += [firsts, partners[0][wanted[0]], partners[1][wanted[1]]]
+            matrices.append(self.matrix.take(firsts, axis=0))
+        n_pairs = len(matrices[0]), len(matrices[1])
+        return PairedDirections(np.concatenate(runs), n_pairs, (matrices[0], matrices[1]))
+
+    def multiply(
+        self, terms: Float32[F32, "terms verts dirs"], paired: PairedDirections, work: Workspace
+    ) -> Float32[F32, "terms verts coeffs"]:
+        """Project folded samples, see `fold_pairs`, on the combinations; kept in a buffer."""
+        rows = terms.reshape(-1, terms.shape[2])
+        (n, m), (by_mirror, by_turn) = paired.n_pairs, paired.matrices
+        _, first, second, third, end = self.offsets
+        wide = self.matrix.shape[1]
+        product = work.array("product", (len(rows), end))
+        np.matmul(rows[:, :n], by_mirror[:, :second], out=product[:, :second])
+        np.matmul(rows[:, n : 2 * n], by_mirror[:, second:end], out=product[:, second:])
+        if m:
+            # turned by 180 degrees, the two blocks of equal signs are even
+            turned, odd = rows[:, 2 * n : 2 * n + m], rows[:, 2 * n + m :]
+            other = work.array("other", (len(rows), wide - first))
+            np.matmul(turned, by_turn[:, first:third], out=other[:, : third - first])
+            np.matmul(odd, by_turn[:, third:], out=other[:, third - first :])
+            product[:, first:] += other[:, : end - first]
+            product[:, :first] += other[:, end - first :]
+        return product.reshape(*terms.shape[:2], end)
+
+    def unfold(
+        self,
+        product: Float32[F32, "terms verts coeffs"],
+        out: Float32[F32, "block terms coeffs"],
+        rows: Int64[I64, " verts"],
+        work: Workspace,
+    ) -> Float64[F64, " verts"]:
+        """Write the coefficients to rows of ``out`` and return the energy that they explain.
+
+        The quadratic form of `LeastSquaresProjection.residual_energy`, block by block.
+        """
+        n_terms, n_verts, n_coeffs = product.shape
+        explained = np.zeros(n_verts)
+        flat = product.reshape(-1, n_coeffs)
+        for block, quadratic in enumerate(self.quadratic):
+            own = flat[:, self.offsets[block] : self.offsets[block + 1]]
+            image = work.array("image", own.shape)
+            np.matmul(own, quadratic, out=image)
+            explained += np.vecdot(image, own).reshape(n_terms, n_verts).sum(axis=0, dtype=float)
+        step = max(1, CACHED_ROWS // n_terms)
+        for start in range(0, n_verts, step):
+            part = slice(start, start + step)
+            coefficients = self._coefficients(product[:, part].transpose(1, 0, 2))
+            explained[part] += np.vecdot(coefficients, coefficients).sum(axis=1, dtype=float)
+            out[rows[part]] = coefficients
+        return explained
+
+    def _coefficients(self, folded: F32) -> F32:
+        """Undo the combinations: E^T."""
+        unfolded = np.empty(folded.shape, np.float32)
+        even_odd, even, odd, odd_even = (
+            folded[..., start : start + self.fours] for start in self.offsets[:4]
+        )
+        d, m, i, t = (unfolded[..., k * self.fours : (k + 1) * self.fours] for k in range(4))
+        up, down = even + even_odd, even - even_odd
+        left, right = odd_even + odd, odd_even - odd
+        np.add(up, left, out=d)
+        np.subtract(up, left, out=m)
+        np.add(down, right, out=i)
+        np.subtract(down, right, out=t)
+        start, n_twos = 4 * self.fours, self.twos.shape[1]
+        one, other = folded.take(self.twos[0], axis=2), folded.take(self.twos[1], axis=2)
+        np.add(one, other, out=unfolded[..., start : start + n_twos])
+        np.subtract(one, other, out=unfolded[..., start + n_twos : start + 2 * n_twos])
+        unfolded[..., start + 2 * n_twos :] = folded.take(self.ones, axis=2)
+        coefficients = unfolded.take(self.places, axis=2)
+        if self.signs is not None:
+            coefficients *= self.signs
+        return coefficients
+
+
+def mirrored_product(
+    projection: LeastSquaresProjection, directions: Float64[F64, "dirs 3"]
+) -> MirroredProduct | None:
+    """Give `MirroredProduct.of`, kept while the projection lives: tile after tile uses the same."""
+    kept = _KEPT.get(id(projection))
+    if kept is not None and np.array_equal(kept[0], directions):
+        return kept[1]
+    made = MirroredProduct.of(projection, directions)
+    if kept is None:
+        weakref.finalize(projection, _KEPT.pop, id(projection), None)
+    _KEPT[id(projection)] = directions, made
+    return made
+
+
+_KEPT: dict[int, tuple[F64, MirroredProduct | None]] = {}
+
+
+class _Image(NamedTuple):
+    """What a symmetry does: index of each direction's image; of each function's, and its sign."""
+
+    directions: I64
+    functions: I64
+    signs: F64
+
+
+def _image(projection: LeastSquaresProjection, directions: F64, flips: F64) -> _Image | None:
+    """Follow directions and functions through a symmetry that moves every direction."""
+    distance, at = cKDTree(directions).query(directions * flips)
+    weights, matrix = projection.weights, projection.matrix
+    if (
+        distance.max() > ASYMMETRY
+        or len(np.unique(at)) < len(at)
+        or (at == np.arange(len(at))).any()
+        or np.abs(weights[at] - weights).max() > ASYMMETRY * weights.max()
+    ):
+        return None
+    # functions are told apart by a few sums over the directions
+    probes = np.random.default_rng(0).standard_normal((4, len(at)))
+    moved = np.empty_like(probes)
+    moved[:, at] = probes
+    before, after = (probes @ matrix).T, (moved @ matrix).T
+    _, found = cKDTree(np.concatenate([before, -before])).query(after)
+    functions = found % len(before)
+    signs = np.where(found < len(before), 1.0, -1.0)
+    if len(np.unique(functions)) < len(functions):
+        return None
+    image = _Image(at, functions, signs)
+    gram = projection.gram[np.ix_(functions, functions)] * np.outer(signs, signs)
+    same = np.abs(gram - projection.gram).max() <= ASYMMETRY * np.abs(projection.gram).max()
+    defect = max(
+        float(np.abs(matrix[at[some]] - matrix[some][:, functions] * signs).max())
+        for some in np.array_split(np.arange(len(at)), -(-len(at) // CACHED_ROWS))
+    )
+    return image if same and defect <= ASYMMETRY * np.abs(matrix).max() else None
+
+
+def _product(
+    projection: LeastSquaresProjection, mirrored: _Image, inverted: _Image
+) -> MirroredProduct:
+    (m, move_m, sign_m), (i, move_i, sign_i) = mirrored, inverted
+    own = np.arange(projection.n_coeffs)
+    images = np.stack([own, move_m, move_i, move_i[move_m]])
+    signs = np.stack([np.ones(len(own)), sign_m, sign_i, sign_m * sign_i[move_m]])
+    size = np.array([len(np.unique(column)) for column in images.T])
+    first = images.min(axis=0) == own
+    fours, twos, ones = (np.flatnonzero(first & (size == n)) for n in (4, 2, 1))
+    # the one of a pair's images that is the other function
+    swap = np.argmax(images[:, twos] != twos, axis=0)
+    partners, partner_signs = images[swap, twos], signs[swap, twos]
+    by_function = projection.matrix.T.copy()
+    rest = projection.gram - (1.0 - 2.0 * projection.ridge) * np.eye(len(own))
+    roots, offsets, quadratic = np.sqrt(projection.weights), [0], []
+    matrix, pair_columns, single_columns = [], np.empty((2, len(twos)), np.int64), ones.copy()
+    for parity in PARITIES:
+        character = np.array([1, *parity, parity.prod()])
+        weights = character[:, None] * signs
+        kept = np.where(images == own, weights, 0.0).sum(axis=0) > 0.0
+        columns = np.concatenate([fours, twos[kept[twos]], ones[kept[ones]]])
+        at = offsets[-1] + np.arange(len(columns))
+        n_fours, n_twos = len(fours), int(kept[twos].sum())
+        which = np.flatnonzero(kept[twos])
+        pair_columns[np.where(character[swap[which]] > 0, 0, 1), which] = at[n_fours:][:n_twos]
+        single_columns[kept[ones]] = at[n_fours + n_twos :]
+        # a function that symmetries leave in place is met several times
+        entries = weights[:, columns] * (size[columns] / 4.0)
+        place = np.broadcast_to(np.arange(len(columns)), entries.shape)
+        combine = csr_array(
+            (entries.ravel(), (place.ravel(), images[:, columns].ravel())),
+            shape=(len(columns), len(own)),
+        )
+        combined = combine @ by_function / size[columns, None]
+        matrix.append((combined / roots).astype(np.float32))
+        quadratic.append((combine @ (combine @ rest).T).astype(np.float32))
+        offsets.append(offsets[-1] + len(columns))
+    order = np.concatenate([images[:, fours].ravel(), twos, partners, ones])
+    order_signs = np.concatenate(
+        [signs[:, fours].ravel(), np.ones(len(twos)), partner_signs, np.ones(len(ones))]
+    )
+    places = np.argsort(order)
+    final = order_signs[places].astype(np.float32)
+    here = np.arange(len(m))
+    orbits = np.stack([here, m, i, i[m]])
+    return MirroredProduct(
+        orbits=orbits[:, orbits.min(axis=0) == here],
+        matrix=np.concatenate([*matrix, matrix[0]]).T.copy(),
+        offsets=tuple(offsets),
+        quadratic=tuple(quadratic),
+        fours=len(fours),
+        twos=pair_columns,
+        ones=single_columns,
+        places=places,
+        signs=None if (final > 0.0).all() else final,
+    )
