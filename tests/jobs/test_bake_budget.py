@@ -266,7 +266,7 @@ def test_a_trial_foretells_the_bytes_of_a_plan_with_other_numbers(store):
 
 def test_bytes_that_no_bake_fits_into_are_refused_with_the_least(store):
     request = normal({"max_bytes": 2000}, effects=NO_BOUNCES)
-    with pytest.raises(SettingsError, match=r"least that is possible .* take \d+") as raised:
+    with pytest.raises(SettingsError, match=r"least that can be asked for .* be \d+") as raised:
         run(store, request, begun(store, request))
     assert raised.value.pointer == "/budget/max_bytes"
 

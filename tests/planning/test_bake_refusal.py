@@ -1,15 +1,19 @@
 """What a search for a bake refuses with: the field that binds, and what can be asked for."""
 
-from math import sqrt
+import re
+from math import ceil, sqrt
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_workers.planning.bake_model import BakeModel, Told
-from prtbake_workers.planning.bake_search import MOST_BAKES, choose
+from prtbake_workers.planning.bake_refusal import LATER_SIZE
+from prtbake_workers.planning.bake_search import AIM, MOST_BAKES, choose, delivered
 from prtbake_workers.planning.time_search import MARGIN
-from support.made_up_bakes import made, model_of, searched, trial
+from support.made_up_bakes import UNTIMED, made, model_of, searched, trial
 
 
 def with_errors(one, squared):
@@ -67,7 +71,39 @@ def test_bytes_that_a_bake_of_the_error_exceeds_are_refused_with_what_it_takes()
     assert told[0].error < 0.12
     field, why = choice.refused
     assert field == "max_bytes"
-    assert f"take {told[0].size}, by the one that was made" in why
+    assert f"found to be {ceil(told[0].size / LATER_SIZE)}, by the one that was made" in why
+
+
+def least_of(choice):
+    """Read the bytes that a refusal names."""
+    field, why = choice.refused
+    assert field == "max_bytes"
+    return int(re.search(r"least that can be asked for.* to be (\d+)", why)[1])
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    share=st.floats(0.5, 1.2), size_off=st.floats(0.9, 1.1), max_error=st.sampled_from((None, 0.2))
+)
+@example(share=0.99, size_off=1.0, max_error=None)
+@example(share=0.9974, size_off=1.0, max_error=None)
+@example(share=0.5, size_off=1.0625, max_error=None)
+def test_bytes_that_a_refusal_names_can_be_asked_for(share, size_off, max_error):
+    """At once where a bake was measured, or takes no more than predicted; else after one that is."""
+    model = UNTIMED
+    seen = model.foreseen(None, 0.0)
+    keeps = seen.errors <= (AIM * (max_error or np.inf)) ** 2
+    asked, sure = round(share * size_off * seen.sizes[keeps].min()), False
+    while True:
+        budget = BakeBudget(max_bytes=asked, max_error=max_error)
+        told, choice = searched(model, budget, size_off=size_off)
+        if choice.refused is None:
+            break
+        assert not sure
+        named = least_of(choice)
+        assert named > asked
+        asked, sure = named, bool(told) or size_off <= 1.0
+    assert told[delivered(model, budget, told)].size <= asked
 
 
 def test_a_better_bake_in_sight_that_has_no_time_is_refused_by_the_time():

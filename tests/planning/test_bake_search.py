@@ -15,6 +15,7 @@ from prtbake_workers.planning.bake_model import (
     effects_left_out,
     sized,
 )
+from prtbake_workers.planning.bake_refusal import LATER_SIZE
 from prtbake_workers.planning.bake_search import (
     AIM,
     BOUNCE_SHARE,
@@ -220,7 +221,7 @@ def test_bytes_below_all_bakes_are_refused_with_the_least():
     model = model_of()
     field, why = choose(model, BakeBudget(max_bytes=1000), [], left=None, tolerance=1e-3).refused
     assert field == "max_bytes"
-    assert f"take {int(model.foreseen(None, 0.0).sizes.min())}" in why
+    assert f"to be {ceil(model.foreseen(None, 0.0).sizes.min() / LATER_SIZE)}" in why
 
 
 def test_an_error_that_takes_too_many_bytes_is_refused_with_what_it_takes():

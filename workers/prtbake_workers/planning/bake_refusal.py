@@ -11,6 +11,9 @@ from prtbake_workers.arrays import B8, Bool
 from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Told
 from prtbake_workers.planning.time_search import MARGIN
 
+LATER_SIZE = 0.995
+"""Of bytes that are asked for, that are aimed at: what a refusal names has to leave this room."""
+
 LINES = {
     "projection": "what directions and functions leave: more than {centres} centres and 6 x "
     "{fine}^2 directions are not tried{why}",
@@ -76,11 +79,13 @@ def _bytes_refused(
     asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
     predicted = float(np.where(left.within, left.seen.sizes, np.inf).min())
     measured = min((one.size for one in met), default=np.inf)
-    words = f"max_bytes is {budget.max_bytes}: the least that is possible{asked}"
-    if measured <= predicted:
-        return f"{words} was found to take {measured}, by {_of_all(told)}"
+    least = ceil(min(measured, predicted) / LATER_SIZE)
+    how = "was found to be" if measured <= predicted else "is predicted to be"
     made = f", by {_of_all(told)}" if told else ""
-    return f"{words} is predicted to take {ceil(predicted)}{made}"
+    return (
+        f"max_bytes is {budget.max_bytes}: the least that can be asked for{asked} {how} "
+        f"{least}{made}"
+    )
 
 
 def _of_all(told: Sequence[Told]) -> str:

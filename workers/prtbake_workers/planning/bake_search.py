@@ -8,7 +8,7 @@ import numpy as np
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_workers.arrays import B8, F64, Bool, Float64
 from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Numbers, Told
-from prtbake_workers.planning.bake_refusal import Left, refusal
+from prtbake_workers.planning.bake_refusal import LATER_SIZE, Left, refusal
 from prtbake_workers.planning.time_search import MARGIN
 
 MOST_BAKES = 4
@@ -28,8 +28,8 @@ NEARLY = 1.1
 """Times what is asked for of error and bytes: the best there is, tried before it is refused while
 nothing was measured."""
 
-FIRST_SIZE, LATER_SIZE = 0.97, 0.995
-"""Of bytes that are asked for, aimed at before a file was written and after."""
+FIRST_SIZE = 0.97
+"""Of bytes that are asked for, aimed at before a file was written; `LATER_SIZE` after."""
 
 FIRST_TIME = 0.2
 """Of the time that is left, for the first bake: it tells what the others will take."""
