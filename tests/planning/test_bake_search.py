@@ -181,6 +181,21 @@ def test_bounces_that_grow_get_more_rays_and_are_refused_where_they_still_do():
     assert choose(model, budget, mended, left=None, tolerance=1e-3).refused is None
 
 
+@pytest.mark.parametrize(
+    ("budget", "seconds"),
+    [(BakeBudget(max_bytes=10**8), None), (BakeBudget(max_seconds=100.0), 90.0)],
+)
+def test_bounces_that_grow_end_a_search_that_gives_them_no_more_rays(budget, seconds):
+    model = model_of(bounced=True)
+    told, choice = searched(model, budget, left=seconds, rest=np.inf)
+    assert len(told) == 1
+    assert choice.refused is None
+    assert delivered(model, budget, told) == 0
+    # the twin, whose bounces are bounded: a first bake for a time is followed by a better one
+    told, _ = searched(model, BakeBudget(max_seconds=100.0), left=90.0)
+    assert len(told) > 1
+
+
 @settings(deadline=None, max_examples=60)
 @given(asked=st.integers(40_000, 30_000_000), size_off=st.floats(0.9, 1.1))
 @example(asked=118_165, size_off=1.0625)

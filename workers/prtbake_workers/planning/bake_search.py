@@ -113,6 +113,9 @@ def choose(
     near = asked is not None and last is not None and last.error >= WINDOW * asked
     if near and best == len(told) - 1:
         return Choice(None)
+    if asked is None and best is not None and told[best].error == np.inf:
+        # bounces grow by the noise of rays, of which no other choice takes more
+        return Choice(None)
     aimed = bounce_tolerance(budget, last, tolerance)
     seen, rows = model.foreseen(last, aimed), _untried(model, told, aimed)
     for share in (LATER_SIZE,) if told else (FIRST_SIZE, LATER_SIZE):
