@@ -282,6 +282,15 @@ def test_a_second_is_too_short_and_the_error_tells_the_least(store):
         assert raised.value.pointer == "/budget/max_seconds"
 
 
+@pytest.mark.parametrize("budget", [None, {"max_error": 0.3}])
+def test_what_a_bake_refuses_is_pointed_at_among_its_own_settings(store, budget):
+    """Those of an asset lie a stage deeper."""
+    request = normal(budget, settings={"n_centres": 42, "bandwidth": 5e4})
+    with pytest.raises(SettingsError, match="bandwidth 50000 is too large") as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/settings/bandwidth"
+
+
 def test_what_takes_long_to_try_is_not_tried_for_a_short_time(store):
     """A trial takes no more of the time than a share."""
     most = {}

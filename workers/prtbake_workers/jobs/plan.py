@@ -96,6 +96,7 @@ def arguments(
             for name, material in request.get("materials", {}).items()
         },
         "receiver": request.get("receiver"),
+        "asset": "environment" in request,
         "effects": request.get("effects", {}),
         "settings": settings.to_dict(),
         "quality": quality,
@@ -137,6 +138,16 @@ def task(args: dict[str, Any]) -> Task:
 
 def plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
     """Load the inputs, factorise the materials, decide effects, parts and tiles."""
+    try:
+        return _plan_scene(args, store)
+    except SettingsError as error:
+        # the settings of a lone bake are of no stages
+        if not args["asset"] and error.pointer is not None:
+            error.pointer = error.pointer.replace("/settings/bake/", "/settings/", 1)
+        raise
+
+
+def _plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, Plan]:
     settings = StageSettings.from_dict(args["settings"])
     check_bandwidth(settings.bake)
     mesh, report = load_mesh(store, args["mesh"])
