@@ -13,7 +13,7 @@ from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.errors import SettingsError
 from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_storage.queue.stages import Results
-from prtbake_workers.jobs import bake_trial, leaving
+from prtbake_workers.jobs import bake_trial, leaving, plan
 from prtbake_workers.jobs.bake_lines import account_of, lines_of
 from prtbake_workers.jobs.bake_trial import trial_flops
 from prtbake_workers.jobs.budget import search_of
@@ -393,6 +393,24 @@ def test_the_estimate_is_of_the_first_bake(met, store):
     told = float(words.split("leave ")[1].split("%")[0]) / 100.0
     assert told == pytest.approx(TARGET, rel=0.1)
     assert found.errors["directions and functions (object)"] > 0.0
+
+
+def test_no_compression_is_tried_for_a_bake_that_nothing_compresses(store, monkeypatch):
+    def compressing(*_, **__):
+        raise AssertionError("a compression is tried")
+
+    monkeypatch.setattr(plan, "try_parts", compressing)
+    request = normal(None, settings={"cube_resolution": 8, "n_centres": 42}, effects=NO_BOUNCES)
+    context = begun(store, request)
+    results = Results()
+    run_stage(REGISTRY.stages("bake", request, context)[0], results, store)
+    assert results["plan"][0]["plan"]["artefact_bytes"]["transfer.h5"] > 0
+    # an asset of the same bake tries one
+    asset = request | {"kind": "asset", "environment": f"environment-{NO_RESOURCE}"}
+    asset["settings"] = {"bake": request["settings"]}
+    args = plan.arguments(asset, context, StageSettings.for_bake(BakeSettings()), "draft")
+    with pytest.raises(AssertionError, match="a compression is tried"):
+        plan.plan_scene(args, store)
 
 
 def test_settings_stand_above_a_quality_in_a_bake_that_runs(store):

@@ -272,7 +272,9 @@ def _plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, P
     )
 
     own = lay_out(part_terms=part_terms, settings=settings, quality=args["quality"])
-    trials = _trials(own, scene, factorisations, settings, seed=args["seed"] + 7)
+    trials = None
+    if args["asset"]:
+        trials = _trials(own, scene, factorisations, settings, seed=args["seed"] + 7)
     if trials is not None:
         lay_out = partial(
             lay_out,
