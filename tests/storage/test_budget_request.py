@@ -116,6 +116,17 @@ def test_settings_that_bytes_decide_are_refused_by_name(other, name):
     assert f"chooses {name}" in why
 
 
+def test_an_error_of_the_compression_stands_beside_a_time_alone():
+    """Beside bytes it would leave most of them, beside an error it would decide what is left."""
+    settings = {"compress": {"max_error": 0.01}}
+    assert request(budget={"max_seconds": 60.0}, settings=settings).settings
+    assert request(quality="low", settings=settings).settings
+    for budget in ({"max_bytes": 10**6}, {"max_seconds": 60.0, "max_bytes": 10**6}):
+        where, why = refusal(budget=budget, settings=settings)
+        assert where == ("compress", "max_error")
+        assert "budget.max_bytes chooses compress.max_error" in why
+
+
 def test_a_light_of_an_error_or_of_bytes_stands_beside_bytes():
     for name, value in (("max_error", 0.01), ("max_bytes", 9000), ("max_seconds", 5.0)):
         light = {"fit_light": {name: value}}

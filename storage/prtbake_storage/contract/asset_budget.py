@@ -34,6 +34,7 @@ class AssetBudget(Budget):
         "max_bytes": (
             "compress.ranks",
             "compress.n_components",
+            "compress.max_error",
             "compress.max_bytes",
             "compress.max_quantisation_error",
         ),
