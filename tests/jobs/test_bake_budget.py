@@ -344,6 +344,11 @@ def test_a_bake_that_is_late_leaves_the_one_before(timed, store):
     assert (first["taken"], second["taken"]) == (True, False)
     assert "time was out" in second["why"]
     assert done.result["search"]["error"] == first["error"]
+    # what nothing bounds is told as that, and small errors with their figures
+    search, none = search_of(request, context), (0.0, 0.0)
+    made = replace(search.trail(late).told[0], projection=none, terms=none)
+    for squared, words in ((inf, "leaves what nothing bounds in"), (1e-10, "leaves 0.001% in")):
+        assert words in search.too_late([replace(made, rest=(squared, 0.0))])
     # and where it was the first, there is nothing to deliver
     late = Results()
     for name in list(stages)[: list(stages).index("bake 1")]:

@@ -5,6 +5,7 @@ import numpy as np
 from prtbake_storage.errors import SettingsError
 from prtbake_workers.arrays import F64, Float64
 from prtbake_workers.brdf.spectrum import Spectrum
+from prtbake_workers.percent import percent
 
 DEFAULT_ENERGY_LOST = 0.01
 """Share of the energy that may be lost where neither terms nor an error are asked for."""
@@ -33,8 +34,8 @@ def choose_units(
     left = float(spectrum.energies_left[affordable - 1])
     needed = "no number of terms" if serving is None else f"{spectrum.whole_counts[serving - 1]}"
     message = (
-        f"{kept} terms (of at most {limit}) leave {left:.2%} of the BRDF's energy, "
-        f"more than {asked:.2%}, which takes {needed}"
+        f"{kept} terms (of at most {limit}) leave {percent(left)} of the BRDF's energy, "
+        f"more than {percent(asked)}, which takes {needed}"
     )
     if energy_lost is not None:
         raise SettingsError(message)

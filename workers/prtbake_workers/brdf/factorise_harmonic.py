@@ -24,6 +24,7 @@ from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_block
 from prtbake_workers.brdf.isotropy import check_isotropy
 from prtbake_workers.brdf.measured_loss import CHECK_GRID, GRID_TOLERANCE, norm_ratio
 from prtbake_workers.brdf.radial_table import cosines_of_nodes
+from prtbake_workers.percent import percent
 
 RANK_TOLERANCE = 1e-10
 """Share of the energy that a term must hold: colours share lobes, and BRDFs of low degree need
@@ -107,7 +108,7 @@ def factorise_harmonic(
         )
     note = (
         f"{len(functions)} of {order**2} hemispherical harmonics ({found.n_terms} terms) leave "
-        f"{lost:.2%} of the BRDF's energy"
+        f"{percent(lost)} of the BRDF's energy"
     )
     return replace(found, energy_lost=lost, note=note)
 

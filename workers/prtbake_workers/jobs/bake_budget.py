@@ -7,7 +7,7 @@ not keep the budget, or leaves more of it than it need.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import sqrt
+from math import isfinite, sqrt
 from typing import Any, NoReturn
 
 from prtbake_storage.blobs.base import BlobStore
@@ -27,6 +27,7 @@ from prtbake_workers.jobs.search_stages import (
     view,
 )
 from prtbake_workers.jobs.work import wall_seconds
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.bake_model import BakeModel, Numbers, Told, Work
 from prtbake_workers.planning.bake_search import MOST_BAKES, choose, delivered, meets
 from prtbake_workers.planning.later_stages import REPORT_WORK
@@ -112,7 +113,7 @@ class BakeSearch:
             if is_late(own):
                 trail.over = trail.late = True
                 if trail.delivered is None:
-                    self._refuse("max_seconds", self._too_late(trail.told))
+                    self._refuse("max_seconds", self.too_late(trail.told))
                 break
             before, now = elapsed, self._elapsed(results, numbered("clock", attempt))
             if not own.get("join") or now is None:
@@ -159,12 +160,14 @@ class BakeSearch:
     def _refuse(self, name: str, why: str) -> NoReturn:
         raise SettingsError(why, pointer=f"/budget/{name}")
 
-    def _too_late(self, told: list[Told]) -> str:
+    def too_late(self, told: Sequence[Told]) -> str:
+        """Say that the time was out before anything that keeps the budget was made."""
         words = f"{self._budget.max_seconds:g} s were out before a bake that keeps the budget"
         if not told:
             return f"{words}, or any, was made: this machine was slower than predicted"
         best = min(told, key=lambda one: one.error)
-        return f"{words} was made: the best leaves {best.error:.2%} in {best.size} bytes"
+        left = percent(best.error) if isfinite(best.error) else "what nothing bounds"
+        return f"{words} was made: the best leaves {left} in {best.size} bytes"
 
     def settings(self, model: BakeModel, numbers: Numbers) -> StageSettings:
         """Lay what was chosen over what the request gives."""
@@ -297,7 +300,7 @@ class BakeSearch:
         own = account_of(lines_of(attempt_view(results, attempt)))
         words = f"most of it is {own['binds']} of {own['part']}"
         if budget.max_error is not None and told.error > budget.max_error:
-            return f"leaves more than {budget.max_error:.2%}; {words}"
+            return f"leaves more than {percent(budget.max_error)}; {words}"
         if not meets(budget, told):
             return f"takes more than {budget.max_bytes} bytes; {words}"
         if attempt == trail.delivered:

@@ -30,6 +30,7 @@ from prtbake_workers.jobs.search_stages import (
     refuse_as,
     views_of,
 )
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.byte_search import (
     Left,
     beyond_bytes,
@@ -95,9 +96,8 @@ class ErrorDecisions:
         if trail.delivered is None:
             seconds = self.budget.max_seconds or 0.0
             raise SettingsError(
-                f"{seconds:g} s are too few for an error of {self.target:.2%}{self._in_bytes()}: "
-                "no settings that meet it were found when the search was given up in its step "
-                f"{trail.stage}",
+                f"{seconds:g} s are too few for {self._asked}: no settings that meet it were found "
+                f"when the search was given up in its step {trail.stage}",
                 pointer="/budget/max_seconds",
             )
         self._enter_compressions(trail)
@@ -112,7 +112,7 @@ class ErrorDecisions:
             trail.transfers.append(pool(views, "transfer"))
             if not isfinite(trail.transfers[-1].error):
                 raise SettingsError(
-                    f"no error of {self.target:.2%} can be searched for: no tuning view shows "
+                    f"no error of {percent(self.target)} can be searched for: no tuning view shows "
                     "light that it would be relative to",
                     pointer="/budget/max_error",
                 )
@@ -134,7 +134,7 @@ class ErrorDecisions:
                     taken=taken,
                     why="leaves room for light and compression"
                     if taken
-                    else f"leaves no room below {trail.aim:.2%}",
+                    else f"leaves no room below {percent(trail.aim)}",
                     stages=tuple(numbered(name, attempt) for name in (*BAKE, "measure")),
                 )
             )
@@ -160,7 +160,7 @@ class ErrorDecisions:
                     taken=taken,
                     why="leaves room for compression"
                     if taken
-                    else f"leaves no room below {trail.aim:.2%}",
+                    else f"leaves no room below {percent(trail.aim)}",
                     stages=(self.light_stage(trail), *measured),
                 )
             )
@@ -242,7 +242,7 @@ class ErrorDecisions:
         met = _meets(total, trail)
         if met:
             trail.delivered = place
-        above = f"errs by more than the {trail.aim:.2%} aimed at"
+        above = f"errs by more than the {percent(trail.aim)} aimed at"
         self._enter_bytes(trail, place, total, "errs by least in its bytes" if met else above)
         return total
 
@@ -261,7 +261,9 @@ class ErrorDecisions:
                 why = "cannot be met by this method of compression"
             elif not taken:
                 above = total > WINDOW[1] * trail.aim
-                why = f"errs by {'more' if above else 'less'} than the {trail.aim:.2%} aimed at"
+                why = (
+                    f"errs by {'more' if above else 'less'} than the {percent(trail.aim)} aimed at"
+                )
                 if most is not None and size is not None and size > most:
                     why = f"takes more than {most} bytes"
             trail.tried.append(self._tried_compression(trail, place, total, taken=taken, why=why))
@@ -313,13 +315,13 @@ class ErrorDecisions:
         if is_late(results):
             raise SettingsError(
                 f"{self.budget.max_seconds or 0.0:g} s are too few for an error of "
-                f"{self.target:.2%}: held-out views err by {total:.2%}, and there was no time "
-                "left to compress less",
+                f"{percent(self.target)}: held-out views err by {percent(total)}, and there was no "
+                "time left to compress less",
                 pointer="/budget/max_seconds",
             )
         place = next(at for at, one in reversed(list(enumerate(trail.tried))) if one.taken)
         trail.tried[place] = replace(
-            trail.tried[place], taken=False, why=f"errs by {total:.2%} at held-out views"
+            trail.tried[place], taken=False, why=f"errs by {percent(total)} at held-out views"
         )
         trail.asked[MENDED] = mended
         trail.stage = "mend"
@@ -356,9 +358,8 @@ class ErrorDecisions:
         if "max_bytes" not in asked:
             self.refuse(error, "held-out views", trail)
         raise SettingsError(
-            f"an error of {self.target:.2%}{self._in_bytes()} cannot be met: held-out views err by "
-            f"{error:.2%}, where tuning views met it. {1.05 * error:.2%} can be asked for, or more "
-            "bytes",
+            f"{self._asked} cannot be met: held-out views err by {percent(error)}, where tuning "
+            f"views met it. {percent(1.05 * error)} can be asked for, or more bytes",
             pointer="/budget/max_bytes",
         )
 
@@ -376,11 +377,11 @@ class ErrorDecisions:
         measured = best >= min(one.error for one in trail.transfers)
         verb, sure = ("is left", "can be") if measured else ("is predicted to be left", "may be")
         raise SettingsError(
-            f"an error of {self.target:.2%} cannot be met: at best {best:.2%} {verb} at the "
-            f"tuning views, where {trail.aim:.2%} is aimed at so that other views stay below; the "
-            f"largest part of it is {line or 'light'}"
+            f"an error of {percent(self.target)} cannot be met: at best {percent(best)} {verb} at "
+            f"the tuning views, where {percent(trail.aim)} is aimed at so that other views stay "
+            f"below; the largest part of it is {line or 'light'}"
             f"{f', which {remedy} would lower' if remedy else ''}. "
-            f"{1.05 * best / share:.2%} {sure} asked for",
+            f"{percent(1.05 * best / share)} {sure} asked for",
             pointer="/budget/max_error",
         )
 
@@ -389,15 +390,17 @@ class ErrorDecisions:
         share = trail.aim / self.target
         needed = bytes_needed(trail.compressed, trail.sizes, trail.aim)
         return SettingsError(
-            f"an error of {self.target:.2%}{self._in_bytes()} cannot be met: at best {best:.2%} is "
-            f"left at the tuning views, where {trail.aim:.2%} is aimed at so that other views stay "
-            f"below; the largest part of it is {line or 'light'}. "
-            f"{1.05 * best / share:.2%} can be asked for, or {needed}",
+            f"{self._asked} cannot be met: at best {percent(best)} is left at the tuning views, "
+            f"where {percent(trail.aim)} is aimed at so that other views stay below; the largest "
+            f"part of it is {line or 'light'}. "
+            f"{percent(1.05 * best / share)} can be asked for, or {needed}",
             pointer="/budget/max_bytes",
         )
 
-    def _in_bytes(self) -> str:
-        return "" if self.budget.max_bytes is None else f" in {self.budget.max_bytes} bytes"
+    @property
+    def _asked(self) -> str:
+        most = self.budget.max_bytes
+        return f"an error of {percent(self.target)}{'' if most is None else f' in {most} bytes'}"
 
     def _light_name(self, step: int) -> str:
         settings = self.lights[step]

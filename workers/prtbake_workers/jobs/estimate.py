@@ -50,6 +50,7 @@ from prtbake_workers.jobs.work import (
     rates_of,
     wall_seconds,
 )
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.cost import compress_memory_bytes, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_cost, expected_sizes
 from prtbake_workers.planning.file_bytes import (
@@ -243,8 +244,8 @@ def _first_bake(
         errors,
         (
             f"the first bake for the budget, whose seconds, bytes and memory these are, is "
-            f"predicted to leave {first.error:.2%} (relative L2) in {first.size} bytes; others may "
-            "follow, as it measures itself",
+            f"predicted to leave {percent(first.error)} (relative L2) in {first.size} bytes; "
+            "others may follow, as it measures itself",
         ),
     )
 
