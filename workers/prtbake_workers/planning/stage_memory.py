@@ -21,7 +21,7 @@ from prtbake_workers.planning.light_pieces import (
 )
 from prtbake_workers.planning.presets import PlannedBake
 from prtbake_workers.planning.seen_pixels import SeenPixels
-from prtbake_workers.transport.quantise import CHUNK_VERTICES
+from prtbake_workers.transport.quantise import CHUNK_NUMBERS
 from prtbake_workers.transport.reference import RAYS_PER_BLOCK, VALUES_PER_BLOCK
 
 Lobe = Literal["none", "isotropic", "anisotropic"]
@@ -41,7 +41,7 @@ PIXEL_BYTES = 370
 
 ROUNDED_VALUE_BYTES = 27
 """Of a coefficient of the vertices that are rounded at a time: in float64 with what rounding leaves
-of it, and copies in 16 and 32 bits.  A rough count, which agrees with two jobs' tiles."""
+of it, and copies in 16 and 32 bits.  A rough count."""
 
 REBUILT_BYTES, REBUILT_VERTS = 20, 2048
 """Of a coefficient that quantisation is measured by, at so many vertices at once."""
@@ -84,7 +84,7 @@ def add_bounces_memory_bytes(
     """Predict what laying bounces over a tile holds.
 
     Direct light and the sum in float32, with one of ``n_blocks`` in 16 bits and in float32, and
-    later the whole in 16 bits with those vertices in float64 that are being rounded.
+    later the whole in 16 bits with those values in float64 that are being rounded.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def add_bounces_memory_bytes(
         Of the tile: vertices, and coefficients of each, all channels.
     """
     whole = verts * values
-    rounding = 2 * whole + ROUNDED_VALUE_BYTES * min(verts, CHUNK_VERTICES) * values
+    rounding = 2 * whole + ROUNDED_VALUE_BYTES * min(whole, max(values, CHUNK_NUMBERS))
     return CHILD_BYTES + 4 * whole // n_channels + 4 * whole + max(6 * whole // n_blocks, rounding)
 
 
