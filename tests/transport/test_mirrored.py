@@ -32,7 +32,7 @@ def projected(product, samples, above):
     """Coefficients by halves of all vertices, and what they explain."""
     paired, work = product.pair(above), Workspace()
     folded = samples[..., paired.directions].copy()
-    fold_pairs(folded, paired.n_pairs)
+    fold_pairs(folded, paired.n_pairs, work)
     out = np.zeros((samples.shape[1], len(samples), len(product.places)), np.float32)
     rows = np.arange(samples.shape[1])
     return out, product.unfold(product.multiply(folded, paired, work), out, rows, work)
@@ -79,7 +79,7 @@ def test_pairs_cover_what_is_seen_and_little_more():
 def test_folding_is_undone(rng):
     samples = rng.normal(size=(2, 3, 15)).astype(np.float32)
     folded = samples.copy()
-    fold_pairs(folded, (4, 3))
+    fold_pairs(folded, (4, 3), Workspace())
     np.testing.assert_array_equal(folded[..., :4], samples[..., :4] + samples[..., 4:8])
     np.testing.assert_array_equal(folded[..., 11:14], samples[..., 8:11] - samples[..., 11:14])
     np.testing.assert_array_equal(folded[..., 14], samples[..., 14])

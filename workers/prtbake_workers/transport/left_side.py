@@ -84,7 +84,9 @@ class Workspace:
         return buffer[:size].reshape(shape)
 
 
-def fold_pairs(samples: Float32[F32, "terms verts dirs"], n_pairs: tuple[int, int]) -> None:
+def fold_pairs(
+    samples: Float32[F32, "terms verts dirs"], n_pairs: tuple[int, int], work: Workspace
+) -> None:
     """Replace the samples of pairs by sum and difference, in place.
 
     Parameters
@@ -93,11 +95,13 @@ def fold_pairs(samples: Float32[F32, "terms verts dirs"], n_pairs: tuple[int, in
         Runs of n firsts and n seconds, one after the other.
     n_pairs
         n of each two runs; what lies behind stays.
+    work
+        Buffers.
     """
     start = 0
     for n in n_pairs:
         first, second = samples[..., start : start + n], samples[..., start + n : start + 2 * n]
-        total = first + second
+        total = np.add(first, second, out=work.array("sums", first.shape))
         np.subtract(first, second, out=second)
         first[...] = total
         start += 2 * n
@@ -105,7 +109,7 @@ def fold_pairs(samples: Float32[F32, "terms verts dirs"], n_pairs: tuple[int, in
 
 def unfold_pairs(samples: Float32[F32, "terms dirs"], n_pairs: tuple[int, int]) -> None:
     """Undo `fold_pairs`."""
-    fold_pairs(samples[:, None], n_pairs)
+    fold_pairs(samples[:, None], n_pairs, Workspace())
     samples[:, : 2 * sum(n_pairs)] *= np.float32(0.5)
 
 
@@ -181,5 +185,5 @@ def weighted_transport(
         factorisation.psi_lookup(x, y, z, rows.reshape(len(rows), -1))
         rows *= common
         np.vecdot(rows, rows, out=squares[:, part])
-        fold_pairs(rows, sampling.n_pairs)
+        fold_pairs(rows, sampling.n_pairs, work)
     return terms, squares.sum(axis=0, dtype=np.float64)

@@ -24,8 +24,8 @@ MIRRORS = (2, 1, 0)
 ASYMMETRY = 1e-9
 """Largest deviation from symmetry, relative: far below float32, above what whitening leaves."""
 
-CACHED_ROWS = 128
-"""Rows of coefficients unfolded at a time: 0.3 MB at 642."""
+CACHED_ROWS = 48
+"""Rows of coefficients unfolded at a time: at 642, arrays that are not mapped anew each time."""
 
 PARITIES = np.array([[1, -1], [1, 1], [-1, -1], [-1, 1]])
 """Of the four blocks of combinations: signs under the mirror and under the inversion."""
