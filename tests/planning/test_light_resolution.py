@@ -339,10 +339,11 @@ def test_candidates_are_what_is_open_and_resolved(settings, expected):
 
 def test_pairs_are_tried_as_a_choice_tries_them_until_they_are_not_worth_it(few_centres):
     bake = BakeSettings.model_validate(OPEN)
-    asked = []
+    asked, foretold = [], []
 
-    def worth_trying(n_centres, before):
+    def worth_trying(n_centres, before, work):
         asked.append((n_centres, len(before)))
+        foretold.append(work)
         return n_centres < 162
 
     found = try_light_resolutions(
@@ -358,3 +359,41 @@ def test_pairs_are_tried_as_a_choice_tries_them_until_they_are_not_worth_it(few_
     assert [one.to_dict() for one in found] == all_pairs[: len(found)]
     assert {one.n_centres for one in found} == {12, 42}
     assert asked == [(12, 0), (42, len(RESOLUTIONS)), (162, 2 * len(RESOLUTIONS))]
+
+
+def test_what_a_trial_will_have_done_is_what_it_has_done(pot, few_centres, few_vertices):
+    """Rays and multiplications, foretold before each number of centres is tried."""
+    scene, accelerator = pot
+    bake = BakeSettings.model_validate(OPEN | {"supersample": 2})
+    foretold = []
+
+    def worth_trying(n_centres, before, work):
+        foretold.append(work)
+        return True
+
+    def asked(most):
+        return chosen(
+            scene,
+            [GLOSSY, GLOSSY],
+            accelerator,
+            anew=True,
+            supersample=2,
+            projection_tolerance=most,
+        )
+
+    try_light_resolutions(
+        scene,
+        [accelerator, accelerator],
+        [GLOSSY, GLOSSY],
+        bake,
+        resolutions=candidates(bake),
+        worth_trying=worth_trying,
+        seed=1,
+    )
+    rays = [work["trial_rays"] for work in foretold]
+    assert rays == sorted(rays)
+    assert rays[0] > 0.0
+    # out of reach: all centres are tried
+    assert asked(1e-9).work == foretold[-1]
+    # the first are enough
+    assert asked(0.99).work == foretold[0]

@@ -4,7 +4,15 @@ import pytest
 
 from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE
 from prtbake_workers.planning.light_resolution import Candidate
-from prtbake_workers.planning.trial_bounds import LEAST_LEFT, LITTLE, SURE, is_enough
+from prtbake_workers.planning.rates import Rates
+from prtbake_workers.planning.trial_bounds import (
+    LEAST_LEFT,
+    LITTLE,
+    SURE,
+    TRIAL_SHARE,
+    TrialTime,
+    is_enough,
+)
 
 AIMED = (AIM * 0.1) ** 2
 
@@ -48,3 +56,21 @@ def test_centres_that_leave_next_to_nothing_are_enough_whatever_the_rest_does():
 def test_without_an_error_they_are_enough_where_they_leave_hardly_anything():
     assert is_enough(told(0.5), tried(0.9 * LEAST_LEFT, 0.0), None)
     assert not is_enough(told(0.0), tried(1.1 * LEAST_LEFT, 0.0), None)
+
+
+def test_rays_and_products_of_all_that_is_tried_share_what_planning_leaves():
+    rates = Rates.from_dict(None)
+    unit = rates.seconds["plan"]
+    planned = {"vertices": 2.0 / unit["vertices"]}
+    time = TrialTime(12.0, rates, planned)
+    half = 0.5 * TRIAL_SHARE * 10.0
+    work = {"trial_rays": half / unit["trial_rays"], "trial_flops": half / unit["trial_flops"]}
+    factor = rates.factors.get("plan", 1.0)
+    assert factor == 1.0
+    assert time.holds({name: 0.99 * amount for name, amount in work.items()})
+    for name in work:
+        assert not time.holds(work | {name: 1.05 * work[name]})
+    # what is named would do, for planning too
+    words = time.refusal(42, {name: 3.0 * amount for name, amount in work.items()})
+    assert "12 s are too few: trying 42 centres" in words
+    assert "take 32 s at least" in words

@@ -89,6 +89,9 @@ class BakeSearch:
             Nothing keeps the budget; it tells the best that can be and what binds.
         """
         trail = Trail()
+        if is_late(view(results, {"trial": "trial"})):
+            words = "s are too few: they were out before the trial was made"
+            self._refuse("max_seconds", f"{self._budget.max_seconds:g} {words}")
         elapsed = self._elapsed(results, "clock")
         if not results.get("trial") or elapsed is None:
             return trail
@@ -219,7 +222,8 @@ class BakeSearch:
         def trial(_: Results) -> list[Task]:
             return [bake_trial.task(self._request, self._context, self._budget)]
 
-        listed = [Stage("trial", "scene", 4.0, trial), self._clock("clock", None)]
+        tried = limit(Stage("trial", "scene", 4.0, trial), lambda _: self._until())
+        listed = [tried, self._clock("clock", None)]
         models = {
             stage.name: stage
             for stage in bake.stages(

@@ -21,9 +21,6 @@ from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.file_bytes import term_bytes
 from prtbake_workers.planning.ladder_steps import terms_at
 from prtbake_workers.planning.light_resolution import (
-    HELD_OUT_RESOLUTION,
-    RESOLUTIONS,
-    VERTICES,
     Candidate,
     candidates,
     try_light_resolutions,
@@ -32,8 +29,7 @@ from prtbake_workers.planning.plan import DIRECTIONS_A_FUNCTION
 from prtbake_workers.planning.planned import Plan
 from prtbake_workers.planning.presets import PlannedBake, StageSettings
 from prtbake_workers.planning.rates import Rates
-from prtbake_workers.planning.sampled_transfer import MIXTURES
-from prtbake_workers.planning.trial_bounds import is_enough
+from prtbake_workers.planning.trial_bounds import TrialTime, is_enough
 
 _MODULE = "prtbake_workers.jobs.bake_trial"
 
@@ -45,9 +41,6 @@ MOST_TERMS, TERM_STEP, COARSEST, FINEST = 126, 0.8, 0.5, 1e-5
 
 SMALLEST = {"n_centres": 12, "cube_resolution": 8}
 """Numbers that the scene is planned with for the trial, where the request gives none."""
-
-TRIAL_SHARE = 0.1
-"""Of the seconds that are asked for: centres that take longer to try are out of reach."""
 
 
 def task(request: dict[str, Any], context: dict[str, Any], budget: BakeBudget) -> Task:
@@ -209,7 +202,13 @@ def _candidates(
     budget: BakeBudget,
     args: Mapping[str, Any],
 ) -> list[Candidate]:
-    """Try centres from few to many, until they are enough or more than the budget allows."""
+    """Try centres from few to many, until they are enough or more than the budget allows.
+
+    Raises
+    ------
+    SettingsError
+        Trying the fewest takes more than its share of the time.
+    """
     opened = BakeSettings.model_validate(
         {
             name: value
@@ -223,21 +222,23 @@ def _candidates(
         for count, fine in candidates(opened).items()
     }
     fewest = [min(terms) for terms in zip(*(o["terms"] for o in found["options"]), strict=True)]
+    seconds = budget.max_seconds
     rates = Rates.from_dict(args.get("rates"))
-    n_functions = VERTICES * min(MIXTURES, max(found["own"]["terms"]))
+    time = None if seconds is None else TrialTime(seconds, rates, found["work"]["plan"])
 
-    def worth_trying(n_centres: int, before: Sequence[Candidate]) -> bool:
+    def worth_trying(
+        n_centres: int, before: Sequence[Candidate], work: Mapping[str, float]
+    ) -> bool:
         if not before:
+            if time is not None and not time.holds(work):
+                raise SettingsError(time.refusal(n_centres, work), pointer="/budget/max_seconds")
             return True
         if is_enough(found, before, budget.max_error):
             return False
-        if budget.max_bytes is not None and sized(found, n_centres, fewest) > budget.max_bytes:
+        most = budget.max_bytes
+        if most is not None and sized(found, n_centres, fewest) > NEARLY * most:
             return False
-        if budget.max_seconds is None:
-            return True
-        flops = trial_flops(n_centres, resolutions[n_centres], n_functions)
-        seconds = rates.stage_seconds("plan", {"trial_flops": flops})
-        return seconds <= TRIAL_SHARE * budget.max_seconds
+        return time is None or time.holds(work)
 
     return try_light_resolutions(
         planned.scene,
@@ -247,15 +248,6 @@ def _candidates(
         resolutions=resolutions,
         worth_trying=worth_trying,
         seed=seed + 6,
-    )
-
-
-def trial_flops(n_centres: int, resolutions: Sequence[int], n_functions: int) -> float:
-    """Count what trying a number of centres multiplies, at its resolutions and the finest."""
-    cubes = [6 * fine**2 for fine in {RESOLUTIONS[-1], *resolutions}]
-    held_out = 6 * HELD_OUT_RESOLUTION**2
-    return sum(
-        2.0 * n_centres * (n * n_centres + n_functions * (n + n_centres + held_out)) for n in cubes
     )
 
 

@@ -186,7 +186,7 @@ def try_light_resolutions(
     bake: BakeSettings,
     *,
     resolutions: Mapping[int, tuple[int, ...]],
-    worth_trying: Callable[[int, Sequence[Candidate]], bool],
+    worth_trying: Callable[[int, Sequence[Candidate], Mapping[str, float]], bool],
     seed: int,
 ) -> list[Candidate]:
     """Measure what pairs of centres and cube maps leave, without choosing one.
@@ -198,7 +198,8 @@ def try_light_resolutions(
     resolutions
         Of the cube maps to try with each number of centres; these rise.
     worth_trying
-        Whether a number of centres is to be tried, and those above it, after what was tried.
+        Whether a number of centres is to be tried, and those above it, after what was tried and for
+        what all of it will have taken then: the amounts of `plan_work` for trials.
     """
     rng = np.random.default_rng(seed)
     probed = _probed(scene, occluders, factorisations, bake, rng)
@@ -206,7 +207,7 @@ def try_light_resolutions(
     with threadpool_limits(limits=1, user_api="blas"):
         trials = _Trials(probed, bake, rng, resolutions)
         for n_centres in resolutions:
-            if not worth_trying(n_centres, tried):
+            if not worth_trying(n_centres, tried, trials.work_with(n_centres)):
                 break
             tried += trials.candidates_of(n_centres)
     return tried
@@ -294,6 +295,26 @@ class _Trials:
         cubes = {self.finest}.union(*self.resolutions.values())
         return self.held_out.n + 6 * sum(one**2 for one in cubes)
 
+    def work_with(self, n_centres: int) -> dict[str, float]:
+        """Count what was done, and what trying a number of centres will come to it."""
+        rays, flops = float(self.n_rays), self.flops
+        for one in {self.finest, *self.resolutions[n_centres]} if self.n_functions else ():
+            n_dirs = 6 * one**2
+            flops += self._flops(n_centres, n_dirs)
+            if one not in self.sampled:
+                rays += self._rays(n_dirs, self.supersample**2)
+        return {"trial_rays": rays, "trial_flops": flops}
+
+    def _flops(self, n_centres: int, n_dirs: int) -> float:
+        """Count the fit's system and its solution, and what is missed in directions held out."""
+        solved = n_dirs + n_centres + self.held_out.n
+        return 2.0 * n_centres * (n_dirs * n_centres + self.n_functions * solved)
+
+    def _rays(self, n_dirs: int, n_samples: int) -> int:
+        """Count the rays of shadows: half of the directions are above each vertex."""
+        shadowed = (part.n_vertices for part in self.parts if part.accelerator is not None)
+        return sum(n_verts * n_samples * n_dirs // 2 for n_verts in shadowed)
+
     def candidates_of(self, n_centres: int) -> list[Candidate]:
         """Fit at every resolution, and at the finest."""
         bandwidth = self.bandwidth or default_bandwidth(n_centres)
@@ -315,9 +336,7 @@ class _Trials:
             at = ProbeDirections.of_cube(resolution, self.supersample)
             self.sampled[resolution] = at, self._sample(at)
         coefficients = basis.fit(*self.sampled[resolution])
-        n_dirs, n = self.sampled[resolution][0].n, len(coefficients)
-        # the fit's system and its solution, and what is missed in directions held out
-        self.flops += 2.0 * n * (n_dirs * n + self.n_functions * (n_dirs + n + self.held_out.n))
+        self.flops += self._flops(len(coefficients), self.sampled[resolution][0].n)
         missed = self._sum(basis.missed(self.held_out, self.truth, coefficients))
         # where no light arrives nothing is lost of it
         shares = missed / np.where(self.signal > 0.0, self.signal, np.inf)
@@ -333,10 +352,9 @@ class _Trials:
     def _sample(self, at: ProbeDirections) -> F32:
         # no part's samples are held twice but those of the last
         found = np.empty((self.n_functions, at.n), np.float32)
+        self.n_rays += self._rays(at.n, at.rays.shape[0])
         start = 0
         for part in self.parts:
-            if part.accelerator is not None:
-                self.n_rays += part.n_vertices * at.rays.shape[0] * at.n // 2
             found[start : start + part.n_functions] = part.sample(at)
             start += part.n_functions
         return found

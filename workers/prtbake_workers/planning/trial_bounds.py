@@ -1,16 +1,22 @@
-"""How far the trial of a lone bake goes: when the centres that were tried are enough."""
+"""How far the trial of a lone bake goes: to centres that are enough, and while there is time."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 from prtbake_workers.planning.bake_search import AIM, BOUNCE_SHARE
 from prtbake_workers.planning.light_resolution import Candidate
+from prtbake_workers.planning.rates import Rates
 
 SURE = 0.7
 """Of what a bake may leave in directions and functions, that a trial of some vertices has to."""
 
 LITTLE = 0.02
 """Of the squared error that is aimed at: without it the error is a hundredth less."""
+
+TRIAL_SHARE = 0.1
+"""Of the seconds that planning leaves: what trying centres may take, all of them together."""
 
 LEAST_LEFT = 1e-5
 """Of transport, that is enough where no error is asked for."""
@@ -44,3 +50,31 @@ def is_enough(
         for one in tried
         for option in trial["options"]
     )
+
+
+@dataclass(frozen=True)
+class TrialTime:
+    """Seconds that are asked for, what they pay for, and what that is predicted to take.
+
+    ``planned`` is the work of planning the scene for the trial.
+    """
+
+    max_seconds: float
+    rates: Rates
+    planned: Mapping[str, float]
+
+    def holds(self, work: Mapping[str, float]) -> bool:
+        """Tell whether the work of all that is tried takes no more than its share."""
+        left = self.max_seconds - self._seconds(self.planned)
+        return self._seconds(work) <= TRIAL_SHARE * left
+
+    def refusal(self, n_centres: int, work: Mapping[str, float]) -> str:
+        """Say that not even the fewest centres can be tried in time."""
+        least = self._seconds(self.planned) + self._seconds(work) / TRIAL_SHARE
+        return (
+            f"{self.max_seconds:g} s are too few: trying {n_centres} centres may take a tenth of "
+            f"what planning leaves, and both are predicted to take {ceil(least)} s at least"
+        )
+
+    def _seconds(self, work: Mapping[str, float]) -> float:
+        return self.rates.stage_seconds("plan", work)
