@@ -81,12 +81,39 @@ def test_an_error_is_never_exceeded_and_reached_as_nearly_as_there_are_steps(
     told, choice = searched(model, budget, off=off, terms_off=terms_off)
     assert choice.refused is None
     taken = told[delivered(model, budget, told)]
-    assert taken.error <= target
+    seen = model.foreseen(None, 0.0)
+    truth = (off * seen.projection + terms_off * seen.terms + 2e-5).max(axis=1)
+    assert truth[model.row(taken.numbers)] <= target**2
     if taken.error < WINDOW * target:
-        seen = model.foreseen(None, 0.0)
-        truth = (off * seen.projection + terms_off * seen.terms + 2e-5).max(axis=1)
         cheaper = model.cost < model.cost[model.row(taken.numbers)]
         assert not (cheaper & (truth <= (AIM * target) ** 2)).any()
+
+
+@settings(deadline=None, max_examples=60)
+@given(target=st.floats(0.1, 0.6), seed=st.integers(0, 2**32 - 1), spread=st.floats(0.0, 3.0))
+def test_of_bakes_that_err_as_they_like_the_cheapest_that_keeps_an_error_is_delivered(
+    target, seed, spread
+):
+    """Each row is off by a factor of its own: none leaves what is foretold, some twenty times it."""
+    model, budget = UNTIMED, BakeBudget(max_error=target)
+    rng = np.random.default_rng(seed)
+    off = np.exp(spread * rng.standard_normal(len(model.choices)))
+    off[rng.random(len(off)) < 0.1] = 0.0
+    off[rng.random(len(off)) < 0.1] = 20.0
+    told, choice = searched(model, budget, off=off)
+    rows = [model.row(one.numbers) for one in told]
+    assert len(set(rows)) == len(rows) <= MOST_BAKES
+    seen = model.foreseen(None, 0.0)
+    truth = np.sqrt((off[:, None] * seen.projection + seen.terms + 2e-5).max(axis=1))
+    keeping = [row for row in rows if truth[row] <= target]
+    if not keeping:
+        assert choice.refused[0] == "max_error"
+        if len(told) == MOST_BAKES:
+            assert f"at best {truth[rows].min():.2%} was left" in choice.refused[1]
+        return
+    assert choice.refused is None
+    cheapest = min(keeping, key=lambda row: model.cost[row])
+    assert rows[delivered(model, budget, told)] == cheapest
 
 
 def test_fine_steps_end_within_a_tenth():
@@ -141,15 +168,15 @@ def test_an_error_that_nothing_reaches_is_refused_with_the_best_and_what_binds(c
     assert words in why
 
 
-def test_what_is_measured_to_bind_is_refused_with_what_was_measured():
+def test_what_is_measured_to_bind_is_refused_with_what_is_left_by_that():
+    """The first bake errs by twice what was foretold; the finest would, too."""
     model, budget = model_of(glossy=False), BakeBudget(max_error=0.12)
     told, choice = searched(model, budget, off=2.0)
-    assert told
+    assert len(told) == 1
+    best = sqrt(2.0 * left(642, 48) + 2e-5)
+    assert 0.12 < best < told[0].error
     assert choice.refused[0] == "max_error"
-    assert "cannot be met" in choice.refused[1]
-    best = min(one.error for one in told)
-    assert best > 0.12
-    assert f"{best:.2%} was left" in choice.refused[1] or "is predicted" in choice.refused[1]
+    assert f"at best {best:.2%} is predicted to be left of a" in choice.refused[1]
 
 
 def test_bounces_get_a_share_of_the_error_and_less_where_they_took_more():
@@ -204,11 +231,13 @@ def test_bytes_are_never_exceeded_and_no_better_bake_would_fit(asked, size_off):
     told, choice = searched(model, budget, size_off=size_off)
     if choice.refused is not None:
         assert choice.refused[0] == "max_bytes"
-        assert size_off * model.foreseen(None, 0.0).sizes.min() > 0.9 * asked
+        # before a bake the least is a tenth too large, after one half a per cent
+        least = size_off * model.foreseen(None, 0.0).sizes.min()
+        assert least > min(LATER_SIZE, 1.1 * size_off) * asked - 1.0
         return
     best = told[delivered(model, budget, told)]
-    assert best.size <= asked
     seen = model.foreseen(None, 0.0)
+    assert round(size_off * seen.sizes[model.row(best.numbers)]) <= asked
     # of bytes that hold the least bake alone there is no other to compare
     fitting = size_off * seen.sizes <= 0.96 * asked
     assert best.error <= 1.04 * sqrt(seen.errors[fitting].min(initial=np.inf) + 2e-5)

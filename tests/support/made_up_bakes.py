@@ -1,5 +1,7 @@
 """Bakes whose errors, bytes and seconds are made up, for searches to choose among."""
 
+import numpy as np
+
 from prtbake_workers.planning.bake_model import BakeModel, Told
 from prtbake_workers.planning.bake_search import choose
 
@@ -72,8 +74,9 @@ UNTIMED = BakeModel(trial())
 
 
 def made(model, numbers, *, off=1.0, terms_off=1.0, rest=2e-5, size_off=1.0, slower=1.0):
-    """A bake of which predictions are off by factors."""
+    """A bake of which predictions are off by factors: ``off`` for all rows, or one for each."""
     at = model.row(numbers)
+    off = np.broadcast_to(off, len(model.choices))[at]
     seen = model.foreseen(None, 0.0)
     return Told(
         numbers=numbers,
