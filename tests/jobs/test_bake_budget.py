@@ -7,7 +7,7 @@ from math import inf, sqrt
 
 import pytest
 
-from prtbake_storage.contract.bake_budget import BakeBudget
+from prtbake_storage.contract.bake_budget import MOST_CENTRES_TRIED, BakeBudget
 from prtbake_storage.contract.jobs import job_request_adapter
 from prtbake_storage.contract.settings import BakeSettings
 from prtbake_storage.errors import SettingsError
@@ -24,6 +24,7 @@ from prtbake_workers.jobs.work import wall_seconds
 from prtbake_workers.planning.bake_model import BakeModel, sized
 from prtbake_workers.planning.bake_search import WINDOW
 from prtbake_workers.planning.later_stages import REPORT_WORK
+from prtbake_workers.planning.light_resolution import CENTRES
 from prtbake_workers.planning.presets import StageSettings
 from prtbake_workers.planning.time_search import MARGIN
 from support.local_stages import registered, run_stage, run_stages
@@ -289,6 +290,11 @@ def tried(store, budget, settings, **changes):
     request = normal(budget, settings=settings, effects=NO_BOUNCES, **changes)
     limits = BakeBudget.model_validate(budget)
     return bake_trial.tried(bake_trial.task(request, begun(store, request), limits).args, store)
+
+
+def test_the_most_centres_beside_a_budget_are_the_most_that_are_tried():
+    """The contract refuses more without knowing the trial."""
+    assert CENTRES[-1] == MOST_CENTRES_TRIED
 
 
 @pytest.mark.parametrize("budget", [None, {"max_error": 0.3}])

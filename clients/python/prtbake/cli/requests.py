@@ -424,11 +424,10 @@ def _quality_or_budget(
     max_seconds: float | None,
 ) -> Request:
     """Say what the asset may cost, or how good it shall be; the service refuses most of both."""
-    given = {"max_error": max_error, "max_bytes": max_bytes, "max_seconds": max_seconds}
-    budget = {name: value for name, value in given.items() if value is not None}
+    budget = _budget(max_error=max_error, max_bytes=max_bytes, max_seconds=max_seconds)
     if not budget:
         return {"quality": quality or "medium"}
-    return {"budget": budget} | ({} if quality is None else {"quality": quality})
+    return budget | ({} if quality is None else {"quality": quality})
 
 
 def _common(label: str | None, priority: int, seed: int, timeout: int | None) -> Request:
