@@ -5,9 +5,9 @@ from typing import Any
 from prtbake_storage.queue.stages import Finished, Results, Stage, Task
 from prtbake_workers.jobs import report
 from prtbake_workers.jobs.bake_budget import BakeSearch
-from prtbake_workers.jobs.byte_budget import ByteBudget
 from prtbake_workers.jobs.error_budget import ErrorSearch
 from prtbake_workers.jobs.search_stages import account
+from prtbake_workers.jobs.sized_asset import SizedAsset
 from prtbake_workers.jobs.time_budget import TimeSearch
 from prtbake_workers.jobs.work import learnt
 
@@ -19,7 +19,7 @@ def has_one(kind: str, request: dict[str, Any]) -> bool:
 
 def search_of(
     request: dict[str, Any], context: dict[str, Any]
-) -> ErrorSearch | TimeSearch | ByteBudget | BakeSearch:
+) -> ErrorSearch | TimeSearch | SizedAsset | BakeSearch:
     """Make the search that a budget calls for."""
     if request.get("kind") == "bake":
         return BakeSearch(request, context)
@@ -27,7 +27,7 @@ def search_of(
         return ErrorSearch(request, context)
     if request["budget"].get("max_seconds") is not None:
         return TimeSearch(request, context)
-    return ByteBudget(request, context)
+    return SizedAsset(request, context)
 
 
 def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list[Stage]:
@@ -36,7 +36,7 @@ def stages(title: str, request: dict[str, Any], context: dict[str, Any]) -> list
 
     def write(results: Results) -> list[Task]:
         seen = search.delivered(results)
-        predicted = search.predicted(results) if isinstance(search, ByteBudget) else {}
+        predicted = search.predicted(results) if isinstance(search, SizedAsset) else {}
         args = report.gather(title, seen, predicted)
         args["search"] = {
             "budget": request["budget"],
@@ -72,5 +72,5 @@ def finish(request: dict[str, Any], context: dict[str, Any], results: Results) -
     search = search_of(request, context)
     seen = search.delivered(results)
     # a job that made nothing in vain is as good a teacher as one without a budget
-    rates = learnt("asset", seen, context) if isinstance(search, ByteBudget) else None
+    rates = learnt("asset", seen, context) if isinstance(search, SizedAsset) else None
     return Finished(result=report.summary(seen), artefacts=report.artefacts(seen), rates=rates)

@@ -20,7 +20,7 @@ SIZED = "quantise"
 """The stage that cuts the asset to its bytes."""
 
 
-class ByteBudget:
+class SizedAsset:
     """The one attempt of a job: stages of the main job, of which one may refuse the bytes."""
 
     def __init__(self, request: dict[str, Any], context: dict[str, Any]) -> None:
