@@ -22,6 +22,7 @@ from prtbake_workers.jobs.registry import REGISTRY
 from prtbake_workers.jobs.search_stages import limit
 from prtbake_workers.planning.error_search import WINDOW
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
+from prtbake_workers.planning.time_search import MARGIN
 from prtbake_workers.report.account import pooled_budget
 from support.budgeted import LEFT_OPEN, begun, normal
 from support.local_stages import run_stage, run_stages
@@ -201,7 +202,7 @@ def test_tasks_leave_early_enough_for_those_after_them_to_start(slots, starts):
     context = {} if slots is None else {"tile_slots": slots}
     stage = limit(Stage("a", "", 1.0, lambda _: tasks), lambda _: 100.0, context)
     ends = [task.args["when"] for task in stage.tasks(Results())]
-    assert ends == [100.0 - BETWEEN_STAGES_S * after for after in starts]
+    assert ends == pytest.approx([100.0 - MARGIN * BETWEEN_STAGES_S * after for after in starts])
     assert limit(stage, lambda _: None, context).tasks(Results()) == stage.tasks(Results())
 
 

@@ -13,6 +13,7 @@ from prtbake_storage.queue.stages import Results, Stage, Task
 from prtbake_workers.jobs import leaving
 from prtbake_workers.jobs.work import slots_of, wall_seconds
 from prtbake_workers.planning.rates import BETWEEN_STAGES_S
+from prtbake_workers.planning.time_search import kept_for
 from prtbake_workers.report.account import pooled_budget
 
 BAKE = ("plan", "bake", "scattering", "bounces", "add_bounces", "join")
@@ -122,7 +123,7 @@ def limit(
             return listed
         starts = [(len(listed) - 1 - place) // slots for place in range(len(listed))]
         return [
-            leaving.until(task, when - BETWEEN_STAGES_S * after)
+            leaving.until(task, when - after * kept_for(BETWEEN_STAGES_S))
             for task, after in zip(listed, starts, strict=True)
         ]
 
