@@ -28,9 +28,15 @@ MAX_POWERS = 64
 TAIL_SHARE = 1e-3
 """The majorant is summed until its last term is below this share of it."""
 
-GROWN = 2.0
-"""Times the least energy of a bounce so far, above which bounces grow.  Surfaces give back no more
-than they get, so it is the noise of few rays, and to go on would sum that without end."""
+GROWN = 4.0
+"""Times the least energy of a bounce so far, above which bounces grow.
+
+Surfaces give back no more light than they get.  But energies here weigh it otherwise from part to
+part: rows of a diffuse part are light before its albedo, those of another one radiance weighted by
+the view's cosine squared.  Between a white plate and a lossless glossy one they rise about twofold
+and fall again.  Twice that is the noise of few rays, and to go on would sum it without end.
+Diffuse parts alone hand on means of what they see, which cannot grow.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,18 +55,20 @@ class BouncedBlock:
         Of the direct transfer, counted once a channel, and of its sum with what was added; of a
         part that scatters both as they leave it.
     bounce_energies
-        Of each bounce by itself, a row a bounce.
+        Of each bounce by itself, a row a bounce that was added.
     remainder_energy
         Of everything after the last bounce: an upper bound where ``is_bound``, under F as it was
         traced, else an estimate from the last two bounces.  None where bounces do not fade or
         none was asked for.
     grows
-        Whether bounces were stopped because they grew, see `GROWN`.
+        Whether they grew, see `GROWN`, or the last one allowed brought no less than the last but
+        two, between parts that are not all diffuse.  None after the least of them is added then.
     noise_energy
         Expected squared error of all bounces from their rays being few and from means over
         neighbours where those are taken, as measured at some vertices, see `bounce_error`.  What
-        bounces hand on of it is added as if each drew anew.  Of a part that scatters at most so
-        much, as scattering evens it out.
+        bounces hand on of it is added as if each drew anew; where they grow, all of it at every
+        bounce that is added, since surfaces give back no more than they get.  Of a part that
+        scatters at most so much, as scattering evens it out.
     rounds
         Of means over neighbours, a number a part, see `Smoothing`.
     n_rays
@@ -116,8 +124,9 @@ def bounce_block(
         Squared-error ratio to direct light below which fewer rays do where means are taken, see
         `pilot_rays`; 0 takes all.
     max_bounces
-        At most so many, and none after one that brings more than `GROWN` times what one before it
-        did.  None, which leaves the scattering of direct light, traces no ray.
+        At most so many, and none after the least of them where they grow, see `BouncedBlock`;
+        these are found by bouncing anew, which holds no more.  0 leaves the scattering of
+        direct light, and traces no ray.
     tolerance
         Squared-error ratio: bounces stop after the first whose energy, over that of the sum, is
         not above it on any part.  Where every block of coefficients keeps it, so does their whole.
@@ -156,9 +165,12 @@ def bounce_block(
     scene = surface.scene
     casting = BounceCasting(surface, factorisations, albedo, n_channels, seed)
     media = list(scattering) or [None] * len(direct)
-    sent = _leaving(media, [np.repeat(one[:, None], n_channels, axis=1) for one in direct])
-    totals = [one.copy() for one in sent]
-    direct_energy = total = _energy(scene, sent)
+
+    def leaving_first() -> list[F32]:
+        return _leaving(media, [np.repeat(one[:, None], n_channels, axis=1) for one in direct])
+
+    sent = leaving_first()
+    direct_energy = _energy(scene, sent)
     smoothings = [
         Smoothing.of_part(scene, part, own) if max_bounces and medium is None else None
         for part, (own, medium) in enumerate(zip(factorisations, media, strict=True))
@@ -166,31 +178,21 @@ def bounce_block(
     if noise_tolerance > 0.0 and max_bounces:
         n_rays = casting.pilot(sent, n_rays, smoothings, noise_tolerance * direct_energy)
         later_rays = None if later_rays is None else np.minimum(later_rays, n_rays).tolist()
-    gathers = casting.parts(n_rays if max_bounces else ())
-    energies: list[F64] = []
-    grows = False
-    while len(energies) < max_bounces and total.any():
-        if len(energies) == 1 and later_rays is not None and list(later_rays) != list(n_rays):
-            # the first ones go before the others come
-            gathers = []
-            gathers = casting.parts(later_rays)
-        arriving = [gather.apply(sent) for gather in gathers]
-        sent = _leaving(media, arriving)
-        for whole, one in zip(totals, sent, strict=True):
-            whole += one
-        energies.append(_energy(scene, sent))
-        total = _energy(scene, totals)
-        if progress is not None:
-            progress(len(energies), max_bounces)
-        if (energies[-1] <= tolerance * total).all():
-            break
-        if grows := _grow(energies):
-            break
     is_bound = all(own.is_constant_phi for own in factorisations)
+    numbers = n_rays, n_rays if later_rays is None else later_rays
+    series = _Series(scene, casting, media, numbers, sent, tolerance)
+    grows = series.run(max_bounces, may_grow=not is_bound, progress=progress)
+    if grows:
+        least = series.least
+        # the grown ones go before the others come
+        del series, sent
+        series = _Series(scene, casting, media, numbers, leaving_first(), tolerance)
+        series.run(least, may_grow=False)
+    sent, totals, energies, total = series.sent, series.totals, series.energies, series.total
     remainder = None
     if max_bounces and not grows:
         remainder = (
-            _majorant(scene, gathers, media, sent)
+            _majorant(scene, series.gathers, media, sent)
             if is_bound
             else _geometric([direct_energy, *energies])
         )
@@ -211,7 +213,8 @@ def bounce_block(
             seed=seed,
             rounds=rounds,
         )
-        noise, taken = error.energy * _handed_on([direct_energy, *energies]), error.rounds
+        times = len(energies) if grows else _handed_on([direct_energy, *energies])
+        noise, taken = error.energy * times, error.rounds
         added = [
             one if smoothing is None else smoothing.apply(one, number)
             for one, smoothing, number in zip(added, smoothings, taken, strict=True)
@@ -236,6 +239,64 @@ def bounce_block(
         n_rays=tuple(n_rays),
         counters=dict(casting.counters),
     )
+
+
+class _Series:
+    """Bounces of what parts send, and their sum."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        casting: BounceCasting,
+        media: Sequence[PartScattering | None],
+        numbers: tuple[Sequence[int], Sequence[int]],
+        sent: list[F32],
+        tolerance: float,
+    ) -> None:
+        """Take rays a vertex of the first bounce and of later ones; ``sent`` changes in place."""
+        self._scene, self._casting, self._media = scene, casting, media
+        self._numbers, self._tolerance = numbers, tolerance
+        self.sent = sent
+        self.totals = [one.copy() for one in sent]
+        self.total = _energy(scene, sent)
+        self.energies: list[F64] = []
+        self.gathers: list[BounceGather] = []
+
+    @property
+    def least(self) -> int:
+        """Bounces up to the one that brings least."""
+        return 1 + int(np.argmin([one.sum() for one in self.energies]))
+
+    def run(
+        self, most: int, *, may_grow: bool, progress: Callable[[int, int], None] | None = None
+    ) -> bool:
+        """Add bounces until one is small, or they grow, at most so many; tell whether they do."""
+        first, later = (list(one) for one in self._numbers)
+        self.gathers = self._casting.parts(first if most else ())
+        while len(self.energies) < most and self.total.any():
+            if len(self.energies) == 1 and later != first:
+                # the first ones go before the others come
+                self.gathers = []
+                self.gathers = self._casting.parts(later)
+            self.sent[:] = _leaving(self._media, [one.apply(self.sent) for one in self.gathers])
+            for whole, one in zip(self.totals, self.sent, strict=True):
+                whole += one
+            self.energies.append(_energy(self._scene, self.sent))
+            self.total = _energy(self._scene, self.totals)
+            if progress is not None:
+                progress(len(self.energies), most)
+            if (self.energies[-1] <= self._tolerance * self.total).all():
+                return False
+            if may_grow and self._grow(is_last=len(self.energies) == most):
+                return True
+        return False
+
+    def _grow(self, *, is_last: bool) -> bool:
+        """Whether bounces grow, by the sums of their energies over parts."""
+        whole = [float(one.sum()) for one in self.energies]
+        # two together, as the weights of `GROWN` let single ones rise and fall
+        no_less = len(whole) > 2 and whole[-1] + whole[-2] >= whole[-2] + whole[-3]
+        return whole[-1] > GROWN * min(whole) or (is_last and no_less)
 
 
 def _of_media(
@@ -291,12 +352,6 @@ def _majorant(
             return _energy(scene, bound)
         before = now
     return None
-
-
-def _grow(energies: Sequence[Float64[F64, " parts"]]) -> bool:
-    """Whether the last bounce brings more than one before it, noise of the energies aside."""
-    whole = [float(one.sum()) for one in energies]
-    return whole[-1] > GROWN * min(whole)
 
 
 def _handed_on(energies: Sequence[Float64[F64, " parts"]]) -> float:
