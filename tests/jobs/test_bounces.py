@@ -155,11 +155,35 @@ def test_bounces_that_grew_are_noted_and_nothing_else_is_said_of_their_end(colou
     results.add("bounces", grown, [])
     said = [note for note in bounce.notes(results, plan) if "rays leave" not in note]
     assert [note for note in said if "averaged" not in note and "in place of" not in note] == [
-        "bounces grew, which is the noise of few rays, and were stopped: nothing bounds what they "
-        "leave out or add; ask for more bounce_rays"
+        "bounces grew, which is the noise of few rays; none after the least of them is added, and "
+        "nothing bounds what they leave out: ask for more bounce_rays"
     ]
     assert not any("grew" in note for note in bounce.notes(coloured, plan))
     assert not any(name.endswith("left out") for name in bounce.errors(results))
+
+
+@pytest.mark.parametrize(
+    ("is_bound", "said", "unsaid"),
+    [(True, "albedo", "rays"), (False, "more bounce_rays", "albedo")],
+)
+def test_what_is_not_known_to_be_left_out_is_not_called_a_bound(coloured, is_bound, said, unsaid):
+    """Of diffuse parts light stays; of others the last two bounces do not fade."""
+    results = Results()
+    results.add("plan", coloured["plan"], [])
+    changes = {"left_out": None, "is_bound": is_bound}
+    results.add("bounces", [block | changes for block in coloured["bounces"]], [])
+    plan = coloured["plan"][0]["plan"]
+    (note,) = (one for one in bounce.notes(results, plan) if "leave out" in one)
+    assert said in note
+    assert unsaid not in note
+    account = bounce.account(results, plan)
+    assert (account["left_out_is"], account["left_out"]) == ("not known", {})
+    told = Results()
+    told.add("plan", coloured["plan"], [])
+    told.add("bounces", [block | {"is_bound": is_bound} for block in coloured["bounces"]], [])
+    kind = bounce.account(told, plan)["left_out_is"]
+    assert kind == ("a bound" if is_bound else "an estimate")
+    assert not any("leave out" in one for one in bounce.notes(told, plan))
 
 
 def test_the_page_shows_the_bounces_of_every_part(coloured):

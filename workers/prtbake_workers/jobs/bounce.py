@@ -5,6 +5,7 @@ they add is then laid over the tiles of direct transfer, vertex block by vertex 
 parts that scatter light inside take what leaves them instead.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -251,8 +252,15 @@ def account(results: Results, plan: dict[str, Any]) -> dict[str, Any] | None:
             for name, error in errors(results).items()
             if name.endswith(" left out")
         },
-        "left_out_is": "a bound" if all(b["is_bound"] for b in blocks) else "an estimate",
+        "left_out_is": _kind_of_left_out(blocks),
     }
+
+
+def _kind_of_left_out(blocks: Sequence[Mapping[str, Any]]) -> str:
+    """Say what is told of later bounces: nothing where one block knows nothing."""
+    if any(block["left_out"] is None for block in blocks):
+        return "not known"
+    return "a bound" if all(block["is_bound"] for block in blocks) else "an estimate"
 
 
 def scattering_notes(results: Results, plan: dict[str, Any]) -> list[str]:
@@ -298,8 +306,8 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
     grows = any(block.get("grows", False) for block in blocks)
     if grows:
         found.append(
-            "bounces grew, which is the noise of few rays, and were stopped: nothing bounds what "
-            "they leave out or add; ask for more bounce_rays"
+            "bounces grew, which is the noise of few rays; none after the least of them is added, "
+            "and nothing bounds what they leave out: ask for more bounce_rays"
         )
     elif last > tolerance:
         found.append(
@@ -324,9 +332,13 @@ def notes(results: Results, plan: dict[str, Any]) -> list[str]:
                 f"{part['name']}: the bounces' rays leave {noise:.1e} of the energy to chance, the "
                 f"tolerance is {tolerance:.1e}: ask for more bounce_rays"
             )
-    if not grows and any(block["left_out"] is None for block in blocks):
+    unknown = [block for block in blocks if block["left_out"] is None]
+    if unknown and not grows:
         found.append(
-            "nothing bounds what the bounces leave out: some light never gets out (albedo 1 in a "
-            "closed space)"
+            "nothing bounds what the bounces leave out: hardly any light gets out (albedo near 1 "
+            "in a closed space)"
+            if all(block["is_bound"] for block in unknown)
+            else "nothing tells what the bounces leave out: the last of them brought no less than "
+            "the one before; ask for more bounce_rays or max_bounces"
         )
     return found
