@@ -5,7 +5,7 @@ numbers have many bits, and few where it leaves much.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -23,6 +23,8 @@ from prtbake_workers.planning.sampled_clusters import (
     draw_clusters,
     sampled_coefficients,
 )
+from prtbake_workers.planning.stage_work import total
+from prtbake_workers.planning.trial_work import TrialSize, directions_bytes, directions_work
 
 MOST_FUNCTIONS = 1000
 """Of a basis that is tried: more take seconds to make orthonormal."""
@@ -89,7 +91,7 @@ def try_parts(
     """
     rng = np.random.default_rng(seed)
     found: list[NumberBytes | None] = []
-    rays, flops, most = 0.0, 0.0, 0
+    sizes: list[TrialSize] = []
     alike = _alike(plan)
     with threadpool_limits(limits=1, user_api="blas"):
         directions = SampledDirections.of(basis, cube_resolution)
@@ -128,14 +130,27 @@ def try_parts(
                 seed=seed,
             )
             found.append(None if tried is None else _scaled(tried, _beyond_direct(plan, index)))
-            rays += len(verts) * n_dirs / 2.0 if occluders[index] is not None else 0.0
-            flops += 2.0 * len(verts) * brdf.n_terms * n_dirs * (basis.n + brdf.n_terms)
-            most = max(most, 4 * len(verts) * (brdf.n_terms * n_dirs + 8 * n_channels * n_values))
-    flops += 4.0 * n_dirs * basis.n**2 + 10.0 * basis.n**3
+            sizes.append(
+                TrialSize(
+                    n_verts=len(verts),
+                    n_terms=brdf.n_terms,
+                    n_coeffs=basis.n,
+                    n_channels=n_channels,
+                    n_dirs=n_dirs,
+                    whole_verts=whole.n_verts,
+                    compression=replace(part.compression, n_clusters=drawn),
+                    rays=occluders[index] is not None,
+                    texels=0 if whole.phi is None else whole.phi.size,
+                )
+            )
+    own = directions_bytes(n_dirs=n_dirs, n_coeffs=basis.n)
+    held = max((size.memory_bytes for size in sizes), default=0)
     return Trials(
         tuple(found),
-        most + 32 * n_dirs * basis.n,
-        {"trial_rays": rays, "trial_flops": flops},
+        max(own, held + own // 8),
+        total(
+            [directions_work(n_dirs=n_dirs, n_coeffs=basis.n), *(size.work for size in sizes)]
+        ),
     )
 
 
