@@ -286,7 +286,8 @@ def _plan_scene(args: dict[str, Any], store: BlobStore) -> tuple[PlannedScene, P
     resolution = resolution_of(own, settings, energy_left(spectra, part_terms))
 
     def cost_of(terms: list[int], settings: StageSettings, quality: Quality) -> StepCost:
-        other = lay_out(part_terms=terms, settings=settings, quality=quality)
+        # what was tried is of this quality's terms, ranks and error
+        other = lay_out(part_terms=terms, settings=settings, quality=quality, tried=())
         return StepCost(
             other.seconds,
             other.artefact_bytes["asset.h5"],
