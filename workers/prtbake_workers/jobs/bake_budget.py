@@ -150,10 +150,10 @@ class BakeSearch:
             return None
         return self._budget.max_seconds - elapsed - self.rest_seconds(model, told)
 
-    def rest_seconds(self, model: BakeModel, told: Sequence[Told]) -> float:
+    def rest_seconds(self, model: BakeModel | None, told: Sequence[Told]) -> float:
         """Say what is kept for the report, by what the last bake took over its prediction."""
         rest = wall_seconds({"report": REPORT_WORK}, self._context, ["report"])
-        if not told:
+        if model is None or not told:
             return kept_for(rest)
         last = told[-1]
         seen = model.foreseen(None, last.numbers.bounce_tolerance)
@@ -222,7 +222,7 @@ class BakeSearch:
         def trial(_: Results) -> list[Task]:
             return [bake_trial.task(self._request, self._context, self._budget)]
 
-        tried = limit(Stage("trial", "scene", 4.0, trial), lambda _: self._until())
+        tried = limit(Stage("trial", "scene", 4.0, trial), self._until, self._context)
         listed = [tried, self._clock("clock", None)]
         models = {
             stage.name: stage
@@ -252,7 +252,8 @@ class BakeSearch:
     def _until(self, results: Results) -> float | None:
         if self._budget.max_seconds is None:
             return None
-        rest = self.rest_seconds(self._model(results["trial"][0]), self.trail(results).told)
+        told = self.trail(results).told
+        rest = self.rest_seconds(self._model(results["trial"][0]) if told else None, told)
         return float(self._context.get("started", 0.0)) + self._budget.max_seconds - rest
 
     def _clock(self, name: str, attempt: int | None) -> Stage:

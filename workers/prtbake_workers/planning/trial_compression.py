@@ -148,9 +148,7 @@ def try_parts(
     return Trials(
         tuple(found),
         max(own, held + own // 8),
-        total(
-            [directions_work(n_dirs=n_dirs, n_coeffs=basis.n), *(size.work for size in sizes)]
-        ),
+        total([directions_work(n_dirs=n_dirs, n_coeffs=basis.n), *(size.work for size in sizes)]),
     )
 
 
