@@ -77,7 +77,10 @@ def _bytes_refused(
     budget: BakeBudget, told: Sequence[Told], met: Sequence[Told], left: Left
 ) -> str:
     asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
-    predicted = float(np.where(left.within, left.seen.sizes, np.inf).min())
+    # what nearly keeps the error is tried, but is nothing to promise where another does keep it
+    keeps = left.rows & (left.seen.errors <= (budget.max_error or np.inf) ** 2)
+    rows = keeps if keeps.any() else left.within
+    predicted = float(np.where(rows, left.seen.sizes, np.inf).min())
     measured = min((one.size for one in met), default=np.inf)
     least = ceil(min(measured, predicted) / LATER_SIZE)
     how = "was found to be" if measured <= predicted else "is predicted to be"
