@@ -1,5 +1,6 @@
 """Estimates of the main job and of its stages, beside what they then take."""
 
+import numpy as np
 import pytest
 
 from prtbake_storage.errors import CorruptArtefact, InputError
@@ -74,7 +75,7 @@ def test_bytes_are_foreseen_where_compression_leaves_little_and_much(
     # negative twin: by what numbers take in the mean, nearly exact factors are not foreseen
     monkeypatch.setattr("prtbake_workers.jobs.plan.MOST_FUNCTIONS", 0)
     constant = foreseen(run_until(store, request, context, "plan"))
-    assert constant != foreseen(results)
+    assert abs(np.log(constant / measured)) > abs(np.log(foreseen(results) / measured))
     if mesh["name"] == "icosphere":
         assert constant < 0.85 * measured
 
