@@ -149,4 +149,4 @@ def sampled_coefficients(
         mixing=np.broadcast_to(np.eye(terms, dtype=np.float32), (len(verts), terms, terms)),
     )
     found = sampled.sample(directions.at) @ directions.matrix
-    return np.asarray(found.reshape(len(verts), terms, -1), np.float32)
+    return np.asarray(found.reshape(len(verts), terms, found.shape[1]), np.float32)

@@ -58,6 +58,8 @@ class TrialSize:
     @property
     def work(self) -> dict[str, float]:
         """Amounts as `plan_work` names them."""
+        if self.n_verts == 0:
+            return {}
         samples = float(self.n_verts * self.n_dirs)
         values = float(self.n_verts * self.n_channels * self.n_terms * self.n_coeffs)
         compressed = searched_work(
@@ -93,7 +95,11 @@ class TrialSize:
 
 def directions_work(*, n_dirs: int, n_coeffs: int) -> dict[str, float]:
     """Count what makes a basis orthonormal and projects samples on it."""
-    return {"solve_flops": 4.0 * n_dirs * n_coeffs**2 + 10.0 * n_coeffs**3}
+    return {
+        "trial_rays": 0.0,
+        "trial_flops": 0.0,
+        "solve_flops": 4.0 * n_dirs * n_coeffs**2 + 10.0 * n_coeffs**3,
+    }
 
 
 def directions_bytes(*, n_dirs: int, n_coeffs: int) -> int:
