@@ -16,6 +16,7 @@ from prtbake_storage.queue.stages import Task
 from prtbake_workers.jobs.plan import CPU_SECONDS, MEMORY_BYTES, arguments, plan_scene
 from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.bake_model import effects_left_out, sized
 from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.file_bytes import term_bytes
@@ -137,9 +138,9 @@ def _check_terms(found: Mapping[str, Any], asked: float | None) -> None:
         return
     part = best["lost"].index(left)
     raise SettingsError(
-        f"an error of {asked:.2%} cannot be met: {best['terms'][part]} terms, the most that are "
-        f"chosen, leave {sqrt(left):.2%} of the BRDF of {found['parts'][part]['name']} whatever "
-        "directions and functions there are; a smoother BRDF would lower it",
+        f"an error of {percent(asked)} cannot be met: {best['terms'][part]} terms, the most that "
+        f"are tried, leave {percent(sqrt(left))} of the BRDF of {found['parts'][part]['name']}, "
+        "whatever directions and functions there are; a smoother BRDF would lower it",
         pointer="/budget/max_error",
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_workers.arrays import B8, Bool
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Told
 from prtbake_workers.planning.time_search import MARGIN
 
@@ -76,7 +77,7 @@ def refusal(
 def _bytes_refused(
     budget: BakeBudget, told: Sequence[Told], met: Sequence[Told], left: Left
 ) -> str:
-    asked = "" if budget.max_error is None else f" for an error of {budget.max_error:.2%}"
+    asked = "" if budget.max_error is None else f" for an error of {percent(budget.max_error)}"
     # what nearly keeps the error is tried, but is nothing to promise where another does keep it
     keeps = left.rows & (left.seen.errors <= (budget.max_error or np.inf) ** 2)
     rows = keeps if keeps.any() else left.within
@@ -107,14 +108,14 @@ def _error_refused(model: BakeModel, budget: BakeBudget, told: Sequence[Told], l
         how = f"was left, by the nearest of {len(told)}" if len(told) > 1 else "was left"
     if not np.isfinite(best):
         return (
-            f"an error of {max_error:.2%} cannot be met: nothing bounds what later bounces leave; "
-            "more bounce_rays or a finer mesh would lower it"
+            f"an error of {percent(max_error)} cannot be met: nothing bounds what later "
+            "bounces leave; more bounce_rays or a finer mesh would lower it"
         )
     centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
     why = "" if seconds is None else f" in {seconds:g} s"
     words = LINES[line].format(centres=centres, fine=fine, why=why)
     whose = f" of {model.names[part]}" if len(model.names) > 1 else ""
     return (
-        f"an error of {max_error:.2%} cannot be met: at best {best:.2%} {how}{whose}, and the "
-        f"largest part of it is {words}"
+        f"an error of {percent(max_error)} cannot be met: at best {percent(best)} "
+        f"{how}{whose}, and the largest part of it is {words}"
     )
