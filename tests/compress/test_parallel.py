@@ -74,3 +74,12 @@ def test_libraries_are_looked_for_anew_once_a_module_was_loaded(monkeypatch):
     assert _pools() is before
     monkeypatch.setitem(sys.modules, "one_more", ModuleType("one_more"))
     assert _pools() is not before
+
+
+def test_a_module_in_the_place_of_another_is_a_change(monkeypatch):
+    monkeypatch.setitem(sys.modules, "one", ModuleType("one"))
+    before, n_modules = _pools(), len(sys.modules)
+    monkeypatch.delitem(sys.modules, "one")
+    monkeypatch.setitem(sys.modules, "other", ModuleType("other"))
+    assert len(sys.modules) == n_modules
+    assert _pools() is not before

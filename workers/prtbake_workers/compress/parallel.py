@@ -67,11 +67,11 @@ def each_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> Iter
 
 
 def _pools() -> ThreadpoolController:
-    """Find the libraries that have threads: anew only when there may be more of them."""
-    return _pools_beside(len(sys.modules))
+    """Find the libraries that have threads: anew only when there may be others of them."""
+    return _pools_beside(tuple(sys.modules))
 
 
 @lru_cache(maxsize=1)
-def _pools_beside(_n_modules: int) -> ThreadpoolController:
+def _pools_beside(_modules: tuple[str, ...]) -> ThreadpoolController:
     # looking through all loaded libraries takes milliseconds, more than many a small fit
     return ThreadpoolController()
