@@ -1,5 +1,7 @@
 """Every method on every kind of part, through the stages of a compress job to the light it reflects."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
@@ -30,13 +32,13 @@ _done = {}
 
 
 def compressed(store: BlobStore, digest: str, method: str):
-    """What a job left: several tests look at the same."""
+    """What a job left: several tests look at the same, each at its own copy."""
     if (digest, method) not in _done:
         settings = CompressSettings(method=method, **SIZES)
         results = run_stages(standalone_stages(digest, settings, 1), store)
         exact = read_asset(store.local_path(results["quantise"][0]["exact"]))
         _done[digest, method] = results, exact
-    return _done[digest, method]
+    return deepcopy(_done[digest, method])
 
 
 @pytest.mark.parametrize("method", FACTORS)

@@ -1,6 +1,7 @@
 """What planning chooses and predicts, against bakes of it."""
 
 import tracemalloc
+from copy import deepcopy
 from itertools import pairwise
 
 import numpy as np
@@ -66,7 +67,7 @@ _chosen = {}
 
 
 def chosen(scene, factorisations, accelerator=None, *, seed=1, anew=False, **settings):
-    """What is chosen: several tests ask for the same, whose objects live as long as this module."""
+    """What is chosen: several tests ask for the same, and each gets its own copy."""
     asked = tuple(sorted(settings.items()))
     limits = light_resolution.CENTRES, light_resolution.MOST_OF_A_PART
     same = *map(id, (scene, accelerator, *factorisations)), seed, asked, limits
@@ -82,7 +83,7 @@ def chosen(scene, factorisations, accelerator=None, *, seed=1, anew=False, **set
         )
         # what it was chosen for is kept, so that nothing else gets its id
         _chosen[same] = found, scene, accelerator, factorisations
-    return _chosen[same][0]
+    return deepcopy(_chosen[same][0])
 
 
 def numbers(found):
