@@ -1,5 +1,7 @@
 """Anisotropic BRDFs through every stage of a job: frames, terms, pictures."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from prtbake_storage.hdf5.transfer import open_transfer
 from prtbake_workers.brdf.oriented_factorisation import OrientedFactorisation
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.geometry.tangents import oriented_frames
+from prtbake_workers.jobs import part_factorisations
 from prtbake_workers.jobs.inputs import load_mesh
 from prtbake_workers.validation.chain import LINES, validate_camera
 from support.scenes import (
@@ -25,6 +28,15 @@ ACROSS = ALONG | {"alpha_x": 0.5, "alpha_y": 0.2}
 SKY = {"builtin": {"name": "sun_sky", "width": 64}}
 SETTINGS = ValidateSettings(width=32, height=24, passes=2, samples=48)
 TERMS = 24
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse_grid():
+    """A third of the directions on either side of a BRDF: 6 degrees apart, slopes of 11 and more."""
+    coarse = functools.partial(part_factorisations.factorise, n_theta=16, n_phi=64)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(part_factorisations, "factorise", coarse)
+        yield
 
 
 def cylinder_obj(around=24, along=6):
