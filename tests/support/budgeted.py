@@ -9,6 +9,7 @@ SKY = {"builtin": {"name": "sun_sky", "width": 32}}
 LEFT_OPEN = {
     "bake": {"cube_resolution": 8, "n_centres": 42},
     "compress": {"max_iterations": 2},
+    "fit_light": {"max_iterations": 1},
     "render": {"width": 16, "height": 16, "backend": "cpu"},
     "validation": {"width": 32, "height": 24, "passes": 4, "samples": 32},
 }
