@@ -294,8 +294,8 @@ class _Series:
     def _grow(self, *, is_last: bool) -> bool:
         """Whether bounces grow, by the sums of their energies over parts."""
         whole = [float(one.sum()) for one in self.energies]
-        # two together, as the weights of `GROWN` let single ones rise and fall
-        no_less = len(whole) > 2 and whole[-1] + whole[-2] >= whole[-2] + whole[-3]
+        # the last but two, as the weights of `GROWN` let every other one rise
+        no_less = len(whole) > 2 and whole[-1] >= whole[-3]
         return whole[-1] > GROWN * min(whole) or (is_last and no_less)
 
 
