@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from classification_unit import Shape, UnitAside
+from classification_unit import Shape, unit_aside
 from glossy_bunny import baked_transfer
 from harness import Row, in_child
 from numpy.typing import NDArray
@@ -179,7 +179,7 @@ def measure_cta(*, quick: bool, path: str) -> dict[str, Any]:
     def now() -> float:
         return time.perf_counter() - start - aside_seconds
 
-    with UnitAside(s.unit) as aside:
+    with unit_aside(s.unit) as aside:
 
         def note(fraction: float, state: str) -> None:
             nonlocal aside_seconds

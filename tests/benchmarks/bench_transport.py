@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
-from classification_unit import Shape, UnitAside
+from classification_unit import Shape, unit_aside
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from glossy_bunny import THREADS, bunny_scene, glossy_terms, srbf_projection
@@ -278,7 +278,7 @@ def measure_bake(*, quick: bool) -> dict[str, Any]:
     set_up = time.perf_counter() - start
     sums, done, seconds = np.zeros(3), 0, 0.0
     starts = range(0, scene.n_vertices, size.tile_vertices)
-    with UnitAside(QUICK_UNIT if quick else UNIT) as aside:
+    with unit_aside(QUICK_UNIT if quick else UNIT) as aside:
         for first in starts[: size.n_tiles]:
             stop = min(first + size.tile_vertices, scene.n_vertices)
             start = time.perf_counter()

@@ -6,11 +6,12 @@ shared machine changes by the minute, and that of a product by more than that of
 """
 
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from multiprocessing import get_context
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,25 +34,20 @@ class Shape(NamedTuple):
         return self.n_verts // PIECES, self.depth, self.width
 
 
+@contextmanager
+def unit_aside(shape: Shape) -> Iterator["UnitAside"]:
+    """Time pieces of the product in a process of its own, whose memory is not that of the work."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        pool.submit(seconds_of_piece, shape.piece).result()  # touches the pages
+        yield UnitAside(shape, pool)
+
+
 class UnitAside:
-    """Times pieces of the product in a process of its own, whose memory is not that of the work."""
+    """Pieces of the product as they were timed, see `unit_aside`."""
 
-    def __init__(self, shape: Shape) -> None:
-        self.shape = shape
+    def __init__(self, shape: Shape, pool: ProcessPoolExecutor) -> None:
+        self.shape, self._pool = shape, pool
         self.pieces: list[float] = []
-
-    def __enter__(self) -> Self:
-        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-        self._pool.submit(seconds_of_piece, self.shape.piece).result()  # touches the pages
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._pool.shutdown()
 
     def time_piece(self) -> float:
         """Time a piece, and give the seconds to leave out of the work's own."""

@@ -96,8 +96,10 @@ def test_statements_hold_only_where_they_do(tmp_path):
     fewer_bytes = [good[0], row(CPCA, 9_050, 0.020), row(CPCA_LARGER, 28_000, 0.0141)]
     assert statements(fewer_bytes)[1].holds
     papers = page([row(CTA, 13_000, 0.014), row(CTA, 13_000, 0.016)], [], "about", "machine")
-    assert papers.count("of the ") >= 2
-    assert papers.count(f"not below {percent(MOST_ERROR)}") == 1
+    assert (
+        "own ranks leave of the bunny 1.4 % at 769:1; of the bunny 1.6 % at 769:1, not below "
+        f"{percent(MOST_ERROR)}."
+    ) in papers
     text = page(good, [], "about", "machine")
     assert "| **error, SRBFs and CTA** | **1.4 %** | 3.64 % |" in text
     assert "Not measured yet: teapot and buddha." in text
