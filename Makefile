@@ -66,7 +66,7 @@ figure4: setup ## Tsai and Shih's figure 4 in numbers: lights of as many paramet
 figure7: setup ## Sloan's figure 7 in numbers: hemispherical projections compared, in figure7-output/
 	PYTHONPATH=tests $(BIN)/python -m figures.figure7 --to figure7-output
 
-results: setup gl ## Measure the bunny and spot anew, into docs/measured and docs/images (PRTBAKE_DATA=...)
+results: setup gl ## Measure bunny, Spot and shaderball anew, into docs/measured and docs/images (PRTBAKE_DATA=...)
 	@test -n "$$PRTBAKE_DATA" || { echo "PRTBAKE_DATA must name the folder of the real data" >&2; exit 1; }
 	$(BIN)/python tests/measured/run.py
 

@@ -73,7 +73,7 @@ iterations.
 sixteen. `CTA, own ranks` has twelve and fewer of the other vectors, as many bytes in all, divided over the clusters by
 what ranks capture there; of the buddha thirteen and some more bytes, which its many vertices allow at 1000:1. All-frequency CPCA has as many bytes as that row, and its components where they capture most,
 a cluster of a segment at a time; with even components it has as many in every cluster, as the paper does. It
-has the view columns of one row of CTA or the other, eight or twelve, those that leave less; so have wavelets.
+has the view columns of one row of CTA or the other, those that leave less; so have wavelets.
 
 Theirs are the columns of their table 1. Their meshes of the bunny and the buddha have more vertices than those
 here; the teapot is tessellated to as many as theirs. Clusters, view columns, centres and bandwidth of the buddha, and
