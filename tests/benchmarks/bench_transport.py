@@ -29,6 +29,7 @@ from prtbake_workers.transport.left_side import (
     visible_share,
     weighted_transport,
 )
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.projection import VertexGroup, plan_projection
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.transport.visibility import padded_directions, visible_fraction
@@ -98,19 +99,19 @@ def rows(quick: bool) -> list[Row]:
             measured=product["ours"] / product["dense"],
             unit="of dense",
             limit=None if quick else MOST_PRODUCT_SHARE,
-            limit_description=f"{100 * product['share']:.1f} % of its multiplications",
+            limit_description=f"{100 * product['share']:.1f} % of its samples, in pairs",
         ),
         Row(
             "left side",
             seconds=product["left"],
             measured=product["left"] / product["dense"],
             unit="of dense",
-            limit_description="psi V cos, its energy included",
+            limit_description="psi V cos, its energy and sums of pairs included",
         ),
         Row(
-            "residual energy",
-            seconds=product["residual"],
-            measured=product["residual"] / product["dense"],
+            "coefficients and residual",
+            seconds=product["unfolded"],
+            measured=product["unfolded"] / product["dense"],
             unit="of dense",
         ),
         Row(
@@ -202,13 +203,17 @@ def measure_product(*, quick: bool) -> dict[str, Any]:
     )
     vertices = _tile(scene, size.n_product_vertices)
     normals, frames = scene.normals[vertices], scene.frames[vertices]
-    sampling = Sampling.of(cube.directions, padded_directions(cube.sub_directions(1)), projection)
+    rays = padded_directions(cube.sub_directions(1))
+    sampling = Sampling.of(cube.directions, rays, projection.weights)
+    product = product_of(projection, cube.directions)
     plan = plan_projection(normals, cube.directions, glossy.n_terms)
     chunks = list(plan.chunks(CHUNK_BYTES // (4 * glossy.n_terms)))
-    works, lefts, energies = [Workspace() for _ in chunks], {}, {}
+    works, lefts, products = [Workspace() for _ in chunks], {}, {}
+    coefficients = np.zeros((len(normals), glossy.n_terms, projection.n_coeffs), np.float32)
 
     def prepare(chunk: VertexGroup, work: Workspace) -> tuple[Any, Any, Any]:
-        picked = sampling.pick(chunk.directions)
+        directions = product.pick(chunk.directions)
+        picked = sampling.pick(directions.directions, directions.n_pairs)
         local = local_directions(frames[chunk.vertices], picked, work)
         share, _ = visible_share(
             None, np.empty((0, 3), np.float32), normals.astype(np.float32), local[2], picked, work
@@ -217,22 +222,18 @@ def measure_product(*, quick: bool) -> dict[str, Any]:
 
     def left(index: int) -> None:
         picked, local, share = prepared[index]
-        lefts[index], energies[index] = weighted_transport(
-            glossy, local, share, picked, works[index]
-        )
-
-    outs = {}
+        lefts[index], _ = weighted_transport(glossy, local, share, picked, works[index])
 
     def multiply(indices: Sequence[int]) -> None:
-        last, matrix = None, np.empty(0)
+        last, picked = None, None
         for index in indices:
-            chunk, terms = chunks[index], lefts[index]
+            chunk = chunks[index]
             if chunk.directions is not last:
-                matrix, last = sampling.matrix.take(chunk.directions, axis=0), chunk.directions
-            np.matmul(terms.reshape(-1, terms.shape[2]), matrix, out=outs[index])
+                picked, last = product.pick(chunk.directions), chunk.directions
+            products[index] = product.multiply(lefts[index], picked, works[index])
 
-    def residual(index: int) -> None:
-        projection.residual_energy(energies[index], coefficients[index])
+    def unfold(index: int) -> None:
+        product.unfold(products[index], coefficients, chunks[index].vertices, works[index])
 
     everything = range(len(chunks))
     with threadpool_limits(limits=1, user_api="blas"):
@@ -240,22 +241,16 @@ def measure_product(*, quick: bool) -> dict[str, Any]:
         _timed(left, everything, THREADS)  # touches the pages
         prepared = [prepare(chunk, work) for chunk, work in zip(chunks, works, strict=True)]
         left_seconds = _timed(left, everything, THREADS)
-        for index in everything:
-            n_rows = lefts[index].shape[0] * lefts[index].shape[1]
-            outs[index] = np.empty((n_rows, projection.n_coeffs), np.float32)
         by_thread = [everything[start::THREADS] for start in range(THREADS)]
         ours = best_time(lambda: _timed(multiply, by_thread, THREADS))
-        coefficients = {
-            index: out.reshape(glossy.n_terms, -1, projection.n_coeffs).transpose(1, 0, 2).copy()
-            for index, out in outs.items()
-        }
-        residual_seconds = best_time(lambda: _timed(residual, everything, THREADS))
+        unfold_seconds = best_time(lambda: _timed(unfold, everything, THREADS))
     n_rows = len(normals) * glossy.n_terms
-    for held in (lefts, outs, coefficients, works, prepared):
+    for held in (lefts, products, works, prepared):
         held.clear()
+    matrix = projection.matrix.astype(np.float32)
     dense_left = np.full((n_rows, cube.n), np.float32(0.01))
     dense_out = np.empty((n_rows, projection.n_coeffs), np.float32)
-    dense = best_time(lambda: np.matmul(dense_left, sampling.matrix, out=dense_out))
+    dense = best_time(lambda: np.matmul(dense_left, matrix, out=dense_out))
     return {
         "rows": n_rows,
         "share": plan.dense_share,
@@ -263,7 +258,7 @@ def measure_product(*, quick: bool) -> dict[str, Any]:
         "gflops": 2e-9 * n_rows * cube.n * projection.n_coeffs / dense,
         "ours": ours,
         "left": left_seconds,
-        "residual": residual_seconds,
+        "unfolded": unfold_seconds,
     }
 
 
@@ -275,6 +270,7 @@ def measure_bake(*, quick: bool) -> dict[str, Any]:
     start = time.perf_counter()
     accelerator = Accelerator(scene.positions, scene.faces)
     projection, cube = srbf_projection(), cube_directions(32)
+    product = product_of(projection, cube.directions)
     set_up = time.perf_counter() - start
     sums, done, seconds = np.zeros(3), 0, 0.0
     starts = range(0, scene.n_vertices, size.tile_vertices)
@@ -284,9 +280,10 @@ def measure_bake(*, quick: bool) -> dict[str, Any]:
             start = time.perf_counter()
             block = bake_block(
                 scene, accelerator, (first, stop),
-                factorisation=glossy, projection=projection, directions=cube, threads=THREADS,
+                factorisation=glossy, projection=projection, directions=cube, product=product,
+                threads=THREADS,
             )  # fmt: skip
-            rounded = quantise_transfer(block.coefficients)
+            rounded = quantise_transfer(block.coefficients, threads=THREADS)
             areas = scene.areas[first:stop]
             energies = (block.signal_energy, block.residual_energy, rounded.squared_error)
             sums += [float(areas @ energy) for energy in energies]

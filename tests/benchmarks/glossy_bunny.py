@@ -23,6 +23,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import CubeDirections, cube_directions
+from prtbake_workers.transport.mirrored import product_of
 
 TILE = 4096
 THREADS = 2
@@ -55,11 +56,13 @@ def baked_transfer() -> NDArray[np.float32]:
     """Bake it all: whitened coefficients (verts, 16, 642)."""
     scene, glossy, projection = bunny_scene(quick=False), glossy_terms(), srbf_projection()
     accelerator, cube = Accelerator(scene.positions, scene.faces), cube_directions(32)
+    product = product_of(projection, cube.directions)
     coefficients = np.empty((scene.n_vertices, glossy.n_terms, projection.n_coeffs), np.float32)
     for start in range(0, scene.n_vertices, TILE):
         stop = min(start + TILE, scene.n_vertices)
         coefficients[start:stop] = bake_block(
             scene, accelerator, (start, stop),
-            factorisation=glossy, projection=projection, directions=cube, threads=THREADS,
+            factorisation=glossy, projection=projection, directions=cube, product=product,
+            threads=THREADS,
         ).coefficients  # fmt: skip
     return coefficients

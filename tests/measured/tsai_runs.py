@@ -30,6 +30,7 @@ from prtbake_workers.transport.left_side import (
     visible_share,
     weighted_transport,
 )
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.visibility import padded_directions
 
 F32 = NDArray[np.float32]
@@ -105,7 +106,6 @@ class Sampled:
             samples=padded_directions(self.cube.sub_directions(s)[:, texels]),
             centres=np.ascontiguousarray(directions.T, dtype=np.float32),
             root_weights=self.roots[texels].astype(np.float32),
-            matrix=np.zeros((len(texels), 0), np.float32),
         )
         work = Workspace()
         out = np.empty((len(vertices), self.factorisation.n_terms, len(texels)), np.float32)
@@ -146,6 +146,7 @@ def bake(sampled: Sampled, basis: SrbfBasis) -> Baked:
     """Project the transport of all vertices; CPU seconds."""
     start = time.process_time()
     projection = basis.projection(sampled.cube.directions, sampled.cube.weights)
+    product = product_of(projection, sampled.cube.directions)
     n = sampled.n_vertices
     coefficients = np.empty((n, sampled.factorisation.n_terms, basis.n), np.float32)
     signal, residual = np.empty(n), np.empty(n)
@@ -154,7 +155,7 @@ def bake(sampled: Sampled, basis: SrbfBasis) -> Baked:
         block = bake_block(
             sampled.scene, sampled.accelerator, (tile.start, tile.stop),
             factorisation=sampled.factorisation, projection=projection,
-            directions=sampled.cube, supersample=sampled.settings.supersample,
+            directions=sampled.cube, product=product, supersample=sampled.settings.supersample,
         )  # fmt: skip
         coefficients[tile] = block.coefficients
         signal[tile], residual[tile] = block.signal_energy, block.residual_energy

@@ -24,6 +24,7 @@ from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.bounce_operator import build_bounce_block
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.interreflection import bounce_series
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.path_material import PathMaterial
 from prtbake_workers.transport.path_points import PathPoints
 from prtbake_workers.transport.path_tracer import trace_paths
@@ -212,12 +213,14 @@ def _baked(scene):
     """Direct transfer of all vertices, whitened."""
     _, projection, directions = _basis()
     diffuse = factorise(Lambert(np.ones(1)))
+    product = product_of(projection, directions.directions)
     accelerator = Accelerator(scene.positions, scene.faces)
     return np.concatenate(
         [
             bake_block(
                 scene, accelerator, of_part,
                 factorisation=diffuse, projection=projection, directions=directions,
+                product=product,
             ).coefficients[:, 0]
             for of_part in scene.part_ranges
         ]

@@ -17,6 +17,7 @@ from prtbake_workers.jobs.scene_file import make_basis, reflection_of
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.hemisphere_rays import cosine_directions, lattice, shifted, shifts
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.transport.separable_bounce import BounceGather
 from support.baked_scene import SEED, factorised
@@ -43,6 +44,7 @@ class BakedOnDemand:
         self._projection = self.basis.projection(
             self._directions.directions, self._directions.weights
         )
+        self._product = product_of(self._projection, self._directions.directions)
         self._surface = opaque(self.scene)
         self._shadows = Accelerator(self.scene.positions, self.scene.faces)
         self._light, self._lit = None, []
@@ -97,7 +99,7 @@ class BakedOnDemand:
                 block = bake_block(
                     _alone(self.scene, tile), self._shadows, (0, len(tile)),
                     factorisation=self.factorisations[part], projection=self._projection,
-                    directions=self._directions, supersample=self.settings.supersample,
+                    directions=self._directions, product=self._product, supersample=self.settings.supersample,
                 )  # fmt: skip
                 lit[tile - start] = quantise_transfer(block.coefficients).dequantised() @ light
             self.n_baked += len(missing)

@@ -23,6 +23,7 @@ from prtbake_workers.jobs.scene_file import make_basis, reflection_of
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.bounces import bounce_block
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.quantise import quantise_transfer
 from prtbake_workers.validation.budget import ChainPicture
 from prtbake_workers.validation.chain import uncompressed_chains
@@ -101,6 +102,7 @@ def baked(meshes, brdfs, settings):
     directions = cube_directions(settings.cube_resolution)
     basis = make_basis(settings.model_dump())
     projection = basis.projection(directions.directions, directions.weights)
+    product = product_of(projection, directions.directions)
     accelerator = Accelerator(scene.positions, scene.faces)
     direct = [
         [
@@ -108,7 +110,7 @@ def baked(meshes, brdfs, settings):
                 bake_block(
                     scene, accelerator, (first, min(first + TILE, stop)),
                     factorisation=factorisation, projection=projection, directions=directions,
-                    supersample=settings.supersample,
+                    product=product, supersample=settings.supersample,
                 ).coefficients
             )
             for first in range(start, stop, TILE)

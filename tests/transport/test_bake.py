@@ -20,6 +20,8 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.transport import bake as bake_module
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.mirrored import MirroredProduct, product_of
+from prtbake_workers.transport.plain_product import PlainProduct
 from support.dense_twin import bake_dense, sampled_transport
 
 CUBE = cube_directions(12)
@@ -78,13 +80,19 @@ def baked(scene, accelerator, glossy, projection):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("kind", [MirroredProduct, PlainProduct])
 @pytest.mark.parametrize("supersample", [1, 2])
 @pytest.mark.parametrize("vertex_range", [(30, 45), (100, 130)])
 def test_bake_equals_its_plain_twin(
-    scene, accelerator, glossy, projection, supersample, vertex_range
+    scene, accelerator, glossy, projection, kind, supersample, vertex_range
 ):
     settings = {"factorisation": glossy, "projection": projection, "directions": CUBE}
-    fast = bake_block(scene, accelerator, vertex_range, supersample=supersample, **settings)
+    found = product_of(projection, CUBE.directions)
+    assert isinstance(found, MirroredProduct)
+    product = found if kind is MirroredProduct else PlainProduct.of(projection)
+    fast = bake_block(
+        scene, accelerator, vertex_range, supersample=supersample, product=product, **settings
+    )
     slow, signal, residual = bake_dense(
         scene, accelerator, vertex_range, supersample=supersample, **settings
     )

@@ -1,5 +1,6 @@
 """The product by mirrored halves against the plain one."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,12 @@ from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.geometry.icosphere import icosphere
 from prtbake_workers.transport.directions import cube_directions
 from prtbake_workers.transport.left_side import Workspace, fold_pairs, unfold_pairs
-from prtbake_workers.transport.mirrored import MirroredProduct, mirrored_product
+from prtbake_workers.transport.mirrored import (
+    MirroredProduct,
+    product_from_tables,
+    product_of,
+)
+from prtbake_workers.transport.plain_product import PlainProduct
 
 CUBE = cube_directions(12)
 BASES = {"srbf": SrbfBasis(icosphere(2)), "few srbf": SrbfBasis(icosphere(0)), "sh": ShBasis(5)}
@@ -28,14 +34,14 @@ def seen_samples(rng, axis, n_terms=3, n_verts=20):
     return samples, above
 
 
-def projected(product, samples, above):
-    """Coefficients by halves of all vertices, and what they explain."""
-    paired, work = product.pair(above), Workspace()
-    folded = samples[..., paired.directions].copy()
-    fold_pairs(folded, paired.n_pairs, work)
-    out = np.zeros((samples.shape[1], len(samples), len(product.places)), np.float32)
+def projected(product, samples, above, n_coeffs):
+    """Coefficients of all vertices, and what they explain."""
+    picked, work = product.pick(above), Workspace()
+    folded = samples[..., picked.directions].copy()
+    fold_pairs(folded, picked.n_pairs, work)
+    out = np.zeros((samples.shape[1], len(samples), n_coeffs), np.float32)
     rows = np.arange(samples.shape[1])
-    return out, product.unfold(product.multiply(folded, paired, work), out, rows, work)
+    return out, product.unfold(product.multiply(folded, picked, work), out, rows, work)
 
 
 @pytest.mark.parametrize("name", BASES)
@@ -45,7 +51,7 @@ def test_halves_give_the_plain_product(name, axis, rng):
     product = MirroredProduct.of(projection, CUBE.directions)
     assert product is not None
     samples, above = seen_samples(rng, np.array(axis))
-    out, explained = projected(product, samples, above)
+    out, explained = projected(product, samples, above, projection.n_coeffs)
     weighted = samples.astype(np.float64) / np.sqrt(projection.weights)
     expected = (weighted @ projection.matrix).transpose(1, 0, 2)
     # float32 sums over some 500 directions: 1e-6 measured
@@ -65,15 +71,15 @@ def test_pairs_cover_what_is_seen_and_little_more():
     d = CUBE.directions
     for axis in np.eye(3):
         above = np.flatnonzero(d @ axis > 0.0)
-        paired = product.pair(above)
-        n, m = paired.n_pairs
-        np.testing.assert_array_equal(np.sort(paired.directions), above)
-        mirror, turn = d[paired.directions[: 2 * n]], d[paired.directions[2 * n :]]
+        picked = product.pick(above)
+        n, m = picked.n_pairs
+        np.testing.assert_array_equal(np.sort(picked.directions), above)
+        mirror, turn = d[picked.directions[: 2 * n]], d[picked.directions[2 * n :]]
         np.testing.assert_allclose(mirror[n:], mirror[:n] * [1, 1, -1], rtol=0, atol=1e-12)
         np.testing.assert_allclose(turn[m:], turn[:m] * [-1, -1, 1], rtol=0, atol=1e-12)
         assert (m == 0) == (axis[2] == 0.0)
     band = np.flatnonzero(np.abs(d @ [0.6, 0.0, 0.8]) < 0.2)
-    assert np.isin(band, product.pair(band).directions).all()
+    assert np.isin(band, product.pick(band).directions).all()
 
 
 def test_folding_is_undone(rng):
@@ -98,22 +104,42 @@ def test_a_projection_without_symmetry_is_told(rng):
     lying_in_the_mirror = BASES["few srbf"].projection(odd.directions, odd.weights)
     assert MirroredProduct.of(lying_in_the_mirror, odd.directions) is None
     sound = projection_of("srbf")
-    other_matrix = sound.matrix.copy()
-    other_matrix[7, 11] *= 1.001
+    other_samples = sound.samples.copy()
+    other_samples[7, 11] *= 1.001
     other_gram = sound.gram.copy()
     other_gram[3, 3] *= 1.001
     other_weights = sound.weights.copy()
     other_weights[5] *= 1.001
     for damaged in (
-        replace(sound, matrix=other_matrix),
+        replace(sound, samples=other_samples),
         replace(sound, gram=other_gram),
         replace(sound, weights=other_weights),
     ):
         assert MirroredProduct.of(damaged, CUBE.directions) is None
 
 
-def test_it_is_made_once_for_a_projection():
-    projection = projection_of("srbf")
-    first = mirrored_product(projection, CUBE.directions)
-    assert mirrored_product(projection, CUBE.directions.copy()) is first
-    assert mirrored_product(projection_of("srbf"), CUBE.directions) is not first
+@pytest.mark.parametrize(("centres", "resolution"), [(642, 32), (2562, 8)])
+def test_the_bases_of_jobs_have_it(centres, resolution):
+    """Else every bake would multiply as much as before, and nothing would tell."""
+    cube, level = cube_directions(resolution), {642: 3, 2562: 4}[centres]
+    projection = SrbfBasis(icosphere(level)).projection(cube.directions, cube.weights)
+    assert isinstance(product_of(projection, cube.directions), MirroredProduct)
+
+
+@pytest.mark.parametrize(("name", "resolution"), [("srbf", 12), ("sh", 12), ("sh", 5)])
+def test_a_product_is_read_as_it_was_written(name, resolution, rng):
+    cube = cube_directions(resolution)
+    projection = BASES[name].projection(cube.directions, cube.weights)
+    product = product_of(projection, cube.directions)
+    assert isinstance(product, MirroredProduct if resolution == 12 else PlainProduct)
+    arrays, numbers = product.tables()
+    again = product_from_tables(arrays, json.loads(json.dumps(numbers)))
+    samples = rng.normal(size=(2, 3, cube.n)).astype(np.float32)
+    everywhere = np.arange(cube.n)
+    for one, other in zip(
+        projected(product, samples, everywhere, projection.n_coeffs),
+        projected(again, samples, everywhere, projection.n_coeffs),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
+        assert one.any()

@@ -38,6 +38,15 @@ def test_bytes_do_not_depend_on_the_blocks(rng):
     np.testing.assert_array_equal(whole.scale, np.concatenate([p.scale for p in parts]))
 
 
+def test_threads_change_nothing(rng):
+    signal = coefficients(rng)
+    alone, shared = quantise_transfer(signal), quantise_transfer(signal, threads=3)
+    np.testing.assert_array_equal(alone.values, shared.values)
+    np.testing.assert_array_equal(alone.scale, shared.scale)
+    np.testing.assert_array_equal(alone.squared_error, shared.squared_error)
+    assert (alone.max_error, alone.rms_error) == (shared.max_error, shared.rms_error)
+
+
 def test_zeros_stay_zeros():
     packed = quantise_transfer(np.zeros((3, 2, 12), np.float32))
     assert not packed.values.any()

@@ -26,8 +26,6 @@ class LeastSquaresProjection:
 
     Attributes
     ----------
-    matrix
-        ``W B (B^T W B + ridge I)^-1``: t = samples @ matrix.
     samples
         B, the basis in the directions.
     weights
@@ -38,7 +36,6 @@ class LeastSquaresProjection:
         See `RIDGE`.
     """
 
-    matrix: Float64[F64, "dirs coeffs"]
     samples: Float64[F64, "dirs coeffs"]
     weights: Float64[F64, " dirs"]
     gram: Float64[F64, "coeffs coeffs"]
@@ -50,8 +47,18 @@ class LeastSquaresProjection:
         return int(self.samples.shape[1])
 
     @cached_property
-    def _rest(self) -> Float32[F32, "coeffs coeffs"]:
-        """M + 2 ridge I without its identity."""
+    def matrix(self) -> Float64[F64, "dirs coeffs"]:
+        """``W B (B^T W B + ridge I)^-1``: t = samples @ matrix; solved for when first asked for."""
+        system = self.gram.copy()
+        system[np.diag_indices(len(system))] += self.ridge
+        factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
+        weighted = self.samples * self.weights[:, None]
+        matrix = cho_solve(factor, weighted.T, overwrite_b=True, check_finite=False).T
+        return np.ascontiguousarray(matrix)
+
+    @cached_property
+    def rest(self) -> Float32[F32, "coeffs coeffs"]:
+        """M + 2 ridge I without its identity: what `explained_energy` takes."""
         rest = self.gram - (1.0 - 2.0 * self.ridge) * np.eye(self.n_coeffs)
         return np.asarray(rest.astype(np.float32))
 
@@ -86,10 +93,7 @@ class LeastSquaresProjection:
         is left of cancellation is the rounding of t, about 1e-7 of the energy; see
         `residual_energy_direct` for vertices where that matters.
         """
-        flat = coefficients.reshape(-1, self.n_coeffs)
-        own = np.vecdot(flat, flat).astype(np.float64) + np.vecdot(flat @ self._rest, flat)
-        explained = own.reshape(coefficients.shape[:2]).sum(axis=1)
-        return np.asarray(np.maximum(energy - explained, 0.0))
+        return np.asarray(np.maximum(energy - explained_energy(coefficients, self.rest), 0.0))
 
     def residual_energy_direct(
         self,
@@ -99,6 +103,15 @@ class LeastSquaresProjection:
         """Squared radiance error by reconstruction at the samples, without cancellation."""
         difference = samples - coefficients.astype(np.float64) @ self.samples.T
         return np.asarray(np.einsum("vkd,vkd,d->v", difference, difference, self.weights))
+
+
+def explained_energy(
+    coefficients: Float32[F32, "verts terms coeffs"], rest: Float32[F32, "coeffs coeffs"]
+) -> Float64[F64, " verts"]:
+    """Sum ``|t|^2 + t^T rest t`` over the terms: what a fit explains of the signal's energy."""
+    flat = coefficients.reshape(-1, len(rest))
+    own = np.vecdot(flat, flat).astype(np.float64) + np.vecdot(flat @ rest, flat)
+    return np.asarray(own.reshape(coefficients.shape[:2]).sum(axis=1))
 
 
 def project(
@@ -139,20 +152,9 @@ def project(
         raise SettingsError(f"solid angles must sum to 4 pi, got {total:.6g}")
     if not ridge > 0.0:
         raise SettingsError(f"ridge must be positive, got {ridge}")
-    weighted = samples * weights[:, None]
-    gram = samples.T @ weighted
+    gram = samples.T @ (samples * weights[:, None])
     gram = 0.5 * (gram + gram.T)
-    system = gram.copy()
-    system[np.diag_indices(len(system))] += ridge
-    factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
-    matrix = cho_solve(factor, weighted.T, overwrite_b=True, check_finite=False).T
-    return LeastSquaresProjection(
-        matrix=np.ascontiguousarray(matrix),
-        samples=samples,
-        weights=weights,
-        gram=gram,
-        ridge=ridge,
-    )
+    return LeastSquaresProjection(samples=samples, weights=weights, gram=gram, ridge=ridge)
 
 
 class Projecting(ABC):

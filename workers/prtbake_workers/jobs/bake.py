@@ -79,14 +79,15 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     directions = cube_directions(bake["cube_resolution"])
     occluders = planned.occluders(args["part"])
     factorisation = planned.factorisations[args["part"]]
-    projection, basis = read_projection(context.store.local_path(args["projection"]))
+    stored = read_projection(context.store.local_path(args["projection"]))
     span = args["start"], args["stop"]
     block = bake_block(
         planned.scene,
         occluders,
         span,
         factorisation=factorisation,
-        projection=projection,
+        projection=stored.projection,
+        product=stored.product,
         directions=directions,
         supersample=bake["supersample"],
         shadows=occluders is not None,
@@ -99,10 +100,10 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         span,
         block.coefficients,
         factorisation=factorisation,
-        basis=basis,
+        basis=stored.functions,
         seed=args["start"],
     )
-    packed = quantise_transfer(block.coefficients)
+    packed = quantise_transfer(block.coefficients, threads=bake["threads"])
     path = context.scratch / "tile.h5"
     write_transfer_tile(
         path,
@@ -120,7 +121,7 @@ def run_tile(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
         "rounding": float(areas @ packed.squared_error),
         "held_out_signal": held_out[0],
         "held_out_residual": held_out[1],
-        "gram_defect": projection.gram_defect,
+        "gram_defect": stored.projection.gram_defect,
         "counters": block.counters() | _self_hits(planned, occluders, args["start"], args["stop"]),
         "epsilon": block.epsilon,
     }

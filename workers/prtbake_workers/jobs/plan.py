@@ -35,6 +35,7 @@ from prtbake_workers.jobs.plan_notes import repairs, side_notes, term_notes, unr
 from prtbake_workers.jobs.rounding import SHARE
 from prtbake_workers.jobs.scene_file import (
     PlannedScene,
+    StoredProjection,
     make_basis,
     occluder_accelerator,
     reflection_of,
@@ -59,6 +60,7 @@ from prtbake_workers.planning.step_errors import energy_left
 from prtbake_workers.planning.subsurface import decide_subsurface
 from prtbake_workers.planning.trial_compression import MOST_FUNCTIONS, Trials, try_parts
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.mirrored import product_of
 from prtbake_workers.transport.surface import OpaqueSurface
 
 _MODULE = "prtbake_workers.jobs.plan"
@@ -428,7 +430,11 @@ def plan(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
     basis = planned.basis()
     directions = cube_directions(planned.header["bake"]["cube_resolution"])
     projection = basis.projection(directions.directions, directions.weights)
-    projected = write_projection(context.scratch / "projection.h5", projection, basis.functions)
+    product = product_of(projection, directions.directions)
+    projected = write_projection(
+        context.scratch / "projection.h5",
+        StoredProjection(projection, product, basis.functions),
+    )
     path = write_scene(context.scratch / "scene.h5", planned)
     return {
         "scene": context.store.put_file(path, move=True),

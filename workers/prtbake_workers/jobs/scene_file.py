@@ -27,6 +27,7 @@ from prtbake_workers.geometry.scene import Scene
 from prtbake_workers.jobs.media import make_dipole
 from prtbake_workers.transport.albedo import Albedo
 from prtbake_workers.transport.dipole import Dipole
+from prtbake_workers.transport.mirrored import Product, product_from_tables
 
 SUBDIVISIONS = {12: 0, 42: 1, 162: 2, 642: 3, 2562: 4, 10242: 5}
 _SCENE_ARRAYS = ("positions", "faces", "normals", "frames", "areas", "part_of_face")
@@ -107,24 +108,43 @@ def make_basis(bake: Mapping[str, Any]) -> IncidentBasis:
     return basis_of(stored_basis(bake))
 
 
-_PROJECTION_ARRAYS = ("matrix", "samples", "weights", "gram")
+_PROJECTION_ARRAYS = ("samples", "weights", "gram")
 
 
-def write_projection(
-    path: Path, projection: LeastSquaresProjection, functions: OrthonormalFunctions
-) -> Path:
-    """Write what every tile of a bake projects with, so that none solves for it again."""
-    arrays, numbers = functions.tables()
-    arrays |= {name: getattr(projection, name) for name in _PROJECTION_ARRAYS}
-    return write_bundle(path, arrays, numbers | {"ridge": projection.ridge}, gzip_level=0)
+@dataclass(frozen=True)
+class StoredProjection:
+    """What every tile of a bake projects with, so that none solves for it again."""
+
+    projection: LeastSquaresProjection
+    product: Product
+    functions: OrthonormalFunctions
 
 
-def read_projection(path: Path) -> tuple[LeastSquaresProjection, OrthonormalFunctions]:
-    """Read a projection and the functions that it is for."""
+def write_projection(path: Path, stored: StoredProjection) -> Path:
+    """Write a projection, its product and the functions that it is for."""
+    arrays: dict[str, NDArray[Any]]
+    arrays, numbers = stored.functions.tables()
+    product, product_numbers = stored.product.tables()
+    arrays |= {name: getattr(stored.projection, name) for name in _PROJECTION_ARRAYS}
+    arrays |= {f"product/{name}": array for name, array in product.items()}
+    numbers |= {"ridge": stored.projection.ridge, "product": product_numbers}
+    return write_bundle(path, arrays, numbers, gzip_level=0)
+
+
+def read_projection(path: Path) -> StoredProjection:
+    """Read what `write_projection` wrote."""
     arrays, header = read_bundle(path)
-    projection = {name: arrays[name] for name in _PROJECTION_ARRAYS}
-    functions = functions_from_tables(arrays, header)
-    return LeastSquaresProjection(**projection, ridge=header["ridge"]), functions
+    own = {name: arrays[name] for name in _PROJECTION_ARRAYS}
+    product = {
+        name.removeprefix("product/"): array
+        for name, array in arrays.items()
+        if name.startswith("product/")
+    }
+    return StoredProjection(
+        projection=LeastSquaresProjection(**own, ridge=header["ridge"]),
+        product=product_from_tables(product, header["product"]),
+        functions=functions_from_tables(arrays, header),
+    )
 
 
 def occluder_accelerator(scene: Scene, parts: list[int]) -> Accelerator | None:

@@ -128,8 +128,8 @@ def tile_memory_bytes(bake: PlannedBake, *, n_terms: int, n_verts: int, flat: bo
     all of them.
     """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
-    # basis and projection in float64, in float32, and every thread's share of the latter
-    projection = (8 + 8 + 4 + 4 * bake.threads) * n_dirs * n_coeffs + 32 * n_coeffs**2
+    # the basis in float64, its mirrored product in float32, and every thread's share of that
+    projection = (8 + 5 + 4 * bake.threads) * n_dirs * n_coeffs + 32 * n_coeffs**2
     values = n_verts * n_terms * n_coeffs
     group = n_verts if flat else min(n_verts, max(GROUP_VERTS, n_verts // GROUPS))
     samples = min(CHUNK_BYTES // (4 * n_terms), group * n_dirs // 2)

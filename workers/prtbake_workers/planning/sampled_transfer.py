@@ -138,7 +138,6 @@ class SampledTransfer:
             samples=padded_directions(at.rays),
             centres=np.ascontiguousarray(at.directions.T, dtype=np.float32),
             root_weights=at.root_weights.astype(np.float32),
-            matrix=np.empty((at.n, 0), np.float32),
         )
         work = Workspace()
         found = np.empty((*self.mixing.shape[:2], at.n), np.float32)

@@ -78,11 +78,14 @@ def bake_work(
 ) -> dict[str, float]:
     """Count what baking a part does: rays, samples of psi V cos, their projection, storing it."""
     n_dirs = 3 * bake.cube_resolution**2
+    # directions in the mirror's plane have no pairs: see `MirroredProduct`
+    unpaired = 2.0 if bake.cube_resolution % 2 else 1.0
+    flops = unpaired * PADDED_SHARE * 2.0 * n_verts * n_dirs * n_terms * bake.n_coeffs
     return {
         "tasks": float(n_tiles),
         "tables": float(n_tiles * 2 * n_dirs * bake.n_coeffs),
         "rays": (shadow_rays(bake, n_verts=n_verts) if shadows else 0) / bake.threads,
-        "flops": PADDED_SHARE * 2.0 * n_verts * n_dirs * n_terms * bake.n_coeffs / bake.threads,
+        "flops": flops / bake.threads,
         "samples": float(n_verts * n_dirs * n_terms) / bake.threads,
         "values": float(n_verts * n_terms * bake.n_coeffs),
     }

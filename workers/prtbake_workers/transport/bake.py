@@ -26,7 +26,8 @@ from prtbake_workers.transport.left_side import (
     visible_share,
     weighted_transport,
 )
-from prtbake_workers.transport.mirrored import MirroredProduct, PairedDirections, mirrored_product
+from prtbake_workers.transport.mirrored import Product, product_of
+from prtbake_workers.transport.plain_product import PickedDirections
 from prtbake_workers.transport.projection import VertexGroup, plan_projection
 from prtbake_workers.transport.visibility import padded_directions
 
@@ -61,7 +62,7 @@ class BakedBlock:
     n_direct_residuals
         Vertices whose residual was summed from the differences.
     dense_share
-        Multiplications of the projection over those of the dense product.
+        Samples multiplied by the projection over those of the dense product.
     epsilon
         Offset of the ray origins in scene units.
     seconds
@@ -108,6 +109,7 @@ def bake_block(
     factorisation: Factorisation,
     projection: LeastSquaresProjection,
     directions: CubeDirections,
+    product: Product | None = None,
     supersample: int = 1,
     shadows: bool = True,
     threads: int = 1,
@@ -131,6 +133,8 @@ def bake_block(
         Of the basis at ``directions``, see `IncidentBasis.projection`.
     directions
         Where transport is sampled.
+    product
+        `product_of` projection and directions; None makes it, which every tile would pay for.
     supersample
         S: V is the share of S x S rays that escape.
     shadows
@@ -166,7 +170,8 @@ def bake_block(
         )
     n_verts, n_terms = stop - start, factorisation.n_terms
     plan = plan_projection(scene.normals[start:stop], directions.directions, n_terms)
-    mirrored = mirrored_product(projection, directions.directions)
+    if product is None:
+        product = product_of(projection, directions.directions)
     coefficients = np.zeros((n_verts, n_terms, projection.n_coeffs), np.float32)
     epsilon = ray_epsilon(scene.bounds)
     baker = _Baker(
@@ -175,12 +180,11 @@ def bake_block(
         frames=scene.frames[start:stop],
         factorisation=factorisation,
         projection=projection,
-        mirrored=mirrored,
+        product=product,
         sampling=Sampling.of(
             directions.directions,
             padded_directions(directions.sub_directions(supersample)),
-            projection,
-            with_matrix=mirrored is None,
+            projection.weights,
         ),
         coefficients=coefficients,
     )
@@ -224,7 +228,7 @@ class _Baker:
         frames: Float64[F64, "verts 3 3"],
         factorisation: Factorisation,
         projection: LeastSquaresProjection,
-        mirrored: MirroredProduct | None,
+        product: Product,
         sampling: Sampling,
         coefficients: Float32[F32, "verts terms coeffs"],
     ) -> None:
@@ -233,16 +237,15 @@ class _Baker:
         self.frames = frames
         self.factorisation = factorisation
         self.projection = projection
-        self.mirrored = mirrored
+        self.product = product
         self.sampling = sampling
         self.coefficients = coefficients
         self.own = thread_local()
 
     def bake(self, group: VertexGroup) -> _Chunk:
         """Bake the vertices of a group: its rows of the coefficients, which no other writes."""
-        work, sampling, paired = self._workspace(group)
+        work, sampling, picked = self._workspace(group)
         vertices = group.vertices
-        directions = group.directions if paired is None else paired.directions
         frames = self.frames[vertices]
         clock = [perf_counter()]
         local = local_directions(frames, sampling, work)
@@ -259,13 +262,14 @@ class _Baker:
         clock.append(perf_counter())
         terms, signal = weighted_transport(self.factorisation, local, share, sampling, work)
         clock.append(perf_counter())
-        product = self._multiply(terms, sampling, paired, work)
+        projected = self.product.multiply(terms, picked, work)
         clock.append(perf_counter())
-        residual = self._residual(vertices, signal, product, work)
+        explained = self.product.unfold(projected, self.coefficients, vertices, work)
+        residual = np.maximum(signal - explained, 0.0)
         small = np.flatnonzero((residual < CANCELLATION_LIMIT * signal) & (signal > 0.0))
         for vertex in small:
             residual[vertex] = self._direct(
-                terms[:, vertex], int(vertices[vertex]), sampling, directions
+                terms[:, vertex], int(vertices[vertex]), sampling, picked.directions
             )
         clock.append(perf_counter())
         return _Chunk(
@@ -273,38 +277,15 @@ class _Baker:
             tuple(np.diff(clock)),
         )  # fmt: skip
 
-    def _workspace(self, group: VertexGroup) -> tuple[Workspace, Sampling, PairedDirections | None]:
+    def _workspace(self, group: VertexGroup) -> tuple[Workspace, Sampling, PickedDirections]:
         """Buffers of this thread and the group's directions, kept while the group stays."""
         own = self.own
         if not hasattr(own, "work"):
             own.work, own.directions = Workspace(), None
         if own.directions is not group.directions:
-            own.directions, own.paired = group.directions, None
-            if self.mirrored is None:
-                own.sampling = self.sampling.pick(group.directions)
-            else:
-                own.paired = self.mirrored.pair(group.directions)
-                own.sampling = self.sampling.pick(own.paired.directions, own.paired.n_pairs)
-        return own.work, own.sampling, own.paired
-
-    def _multiply(
-        self, terms: F32, sampling: Sampling, paired: PairedDirections | None, work: Workspace
-    ) -> F32:
-        """Multiply samples and matrix: coefficients, or combinations of them."""
-        if self.mirrored is not None and paired is not None:
-            return self.mirrored.multiply(terms, paired, work)
-        product = work.array("product", (terms[..., 0].size, self.projection.n_coeffs))
-        np.matmul(terms.reshape(len(product), -1), sampling.matrix, out=product)
-        return product.reshape(*terms.shape[:2], -1)
-
-    def _residual(self, vertices: I64, signal: F64, product: F32, work: Workspace) -> F64:
-        """Write the coefficients of a product and give what they lose of the signal."""
-        if self.mirrored is not None:
-            explained = self.mirrored.unfold(product, self.coefficients, vertices, work)
-            return np.maximum(signal - explained, 0.0)
-        coefficients = product.transpose(1, 0, 2).copy()
-        self.coefficients[vertices] = coefficients
-        return self.projection.residual_energy(signal, coefficients)
+            own.directions, own.picked = group.directions, self.product.pick(group.directions)
+            own.sampling = self.sampling.pick(own.picked.directions, own.picked.n_pairs)
+        return own.work, own.sampling, own.picked
 
     def _direct(self, weighted: F32, vertex: int, sampling: Sampling, directions: I64) -> float:
         unfolded = weighted.copy()

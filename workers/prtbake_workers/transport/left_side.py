@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtbake_workers.arrays import F32, F64, Float32, Float64
-from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.geometry.accelerator import Accelerator
 from prtbake_workers.transport.visibility import visible_fraction
@@ -26,9 +25,6 @@ class Sampling:
         Centres of the texels, a row a component.
     root_weights
         Square roots of the solid angles.
-    matrix
-        Projection matrix over root weights: takes weighted samples to whitened coefficients; no
-        columns where a `MirroredProduct` does.
     n_pairs
         Pairs of directions whose samples are folded, see `fold_pairs`.
     """
@@ -36,26 +32,15 @@ class Sampling:
     samples: Float32[F32, "samples dirs 4"]
     centres: Float32[F32, "3 dirs"]
     root_weights: Float32[F32, " dirs"]
-    matrix: Float32[F32, "dirs coeffs"]
     n_pairs: tuple[int, int] = (0, 0)
 
     @classmethod
-    def of(
-        cls,
-        directions: F64,
-        samples: F32,
-        projection: LeastSquaresProjection,
-        *,
-        with_matrix: bool = True,
-    ) -> "Sampling":
+    def of(cls, directions: F64, samples: F32, weights: F64) -> "Sampling":
         """Convert to float32 once; ``samples`` as from `padded_directions`."""
-        roots = np.sqrt(projection.weights)
-        matrix = projection.matrix[:, : None if with_matrix else 0]
         return cls(
             samples=samples,
             centres=np.ascontiguousarray(directions.T, dtype=np.float32),
-            root_weights=roots.astype(np.float32),
-            matrix=(matrix / roots[:, None]).astype(np.float32),
+            root_weights=np.sqrt(weights).astype(np.float32),
         )
 
     def pick(self, directions: np.ndarray, n_pairs: tuple[int, int] = (0, 0)) -> "Sampling":
@@ -64,7 +49,6 @@ class Sampling:
             samples=self.samples.take(directions, axis=1),
             centres=self.centres.take(directions, axis=1),
             root_weights=self.root_weights.take(directions),
-            matrix=self.matrix.take(directions, axis=0),
             n_pairs=n_pairs,
         )
 

@@ -1,45 +1,40 @@
 """The projection's product in parts that a mirror and the inversion of all directions keep apart.
 
-A cube map and an icosphere (or spherical harmonics) look the same mirrored in z and turned inside
-out.  Sums and differences of samples in directions that a symmetry swaps then reach only the even
-or only the odd combinations of coefficients: half of the product's multiplications, a quarter of
-the residual's.
+A cube map of even resolution and an icosphere (or spherical harmonics) look the same mirrored in
+z and turned inside out.  Sums and differences of samples in directions that a symmetry swaps then
+reach only the even or only the odd combinations of coefficients: half of the product's
+multiplications, a quarter of the residual's.
 """
 
-import weakref
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, vstack
 from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.transport.left_side import Workspace
-
-MIRRORS = (2, 1, 0)
-"""Axes whose mirror is tried."""
+from prtbake_workers.transport.plain_product import PickedDirections, PlainProduct
 
 ASYMMETRY = 1e-9
-"""Largest deviation from symmetry, relative: far below float32, above what whitening leaves."""
+"""Largest deviation from symmetry, relative: far below float32, and above what whitening leaves
+but where a basis is nearly dependent."""
 
 CACHED_ROWS = 48
 """Rows of coefficients unfolded at a time: at 642, arrays that are not mapped anew each time."""
 
+COMBINED_ROWS = 1024
+"""Directions whose columns are combined at a time: 21 MB each array at 2562 functions."""
+
+MIRRORED = "mirrored"
+_ARRAYS = ("orbits", "matrix", "twos", "ones", "places")
+
 PARITIES = np.array([[1, -1], [1, 1], [-1, -1], [-1, 1]])
 """Of the four blocks of combinations: signs under the mirror and under the inversion."""
-
-
-class PairedDirections(NamedTuple):
-    """The directions of a group, those that a symmetry swaps in two runs of equal length."""
-
-    directions: Int64[I64, " dirs"]
-    """n of one kind, their mirror images; m of the other, the same turned by 180 degrees."""
-    n_pairs: tuple[int, int]
-    """n and m."""
-    matrices: tuple[Float32[F32, "mirrored wide"], Float32[F32, "turned wide"]]
-    """Rows of the projection for the first of each pair."""
 
 
 @dataclass(frozen=True)
@@ -80,17 +75,42 @@ class MirroredProduct:
     ) -> "MirroredProduct | None":
         """Find a mirror and the inversion in a projection; None where it lacks them."""
         inverted = _image(projection, directions, -np.ones(3))
-        if inverted is None:
+        mirrored = _image(projection, directions, np.array([1.0, 1.0, -1.0]))
+        if inverted is None or mirrored is None:
             return None
-        for axis in MIRRORS:
-            mirrored = _image(projection, directions, np.where(np.arange(3) == axis, -1.0, 1.0))
-            # what their product leaves in place would be paired with itself
-            if mirrored is not None and (mirrored.directions != inverted.directions).all():
-                return _product(projection, mirrored, inverted)
-        return None
+        # what their product leaves in place would be paired with itself
+        if (mirrored.directions == inverted.directions).any():
+            return None
+        return _product(projection, mirrored, inverted)
 
-    def pair(self, directions: Int64[I64, " seen"]) -> PairedDirections:
-        """Pair the directions that a group sees; partners that it does not see are added."""
+    @classmethod
+    def from_tables(
+        cls, arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any]
+    ) -> "MirroredProduct":
+        """Read back what `tables` gave."""
+        offsets = tuple(numbers["offsets"])
+        return cls(
+            offsets=offsets,
+            quadratic=tuple(arrays[f"quadratic_{block}"] for block in range(len(PARITIES))),
+            fours=numbers["fours"],
+            signs=arrays.get("signs"),
+            **{name: arrays[name] for name in _ARRAYS},
+        )
+
+    def tables(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Give arrays and numbers that `from_tables` makes the product of again."""
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
+        arrays |= {f"quadratic_{block}": own for block, own in enumerate(self.quadratic)}
+        if self.signs is not None:
+            arrays["signs"] = self.signs
+        return arrays, {"kind": MIRRORED, "offsets": self.offsets, "fours": self.fours}
+
+    def pick(self, directions: Int64[I64, " seen"]) -> PickedDirections:
+        """Pair the directions that a group sees; partners that it does not see are added.
+
+        The runs of pairs are of directions and their mirror images, and of directions and the same
+        turned by 180 degrees about z.
+        """
         seen = np.zeros(len(self.matrix), np.bool_)
         seen[directions] = True
         here, mirrored, inverted, turned = seen[self.orbits]
@@ -104,14 +124,14 @@ class MirroredProduct:
             runs += [firsts, partners[0][wanted[0]], partners[1][wanted[1]]]
             matrices.append(self.matrix.take(firsts, axis=0))
         n_pairs = len(matrices[0]), len(matrices[1])
-        return PairedDirections(np.concatenate(runs), n_pairs, (matrices[0], matrices[1]))
+        return PickedDirections(np.concatenate(runs), n_pairs, (matrices[0], matrices[1]))
 
     def multiply(
-        self, terms: Float32[F32, "terms verts dirs"], paired: PairedDirections, work: Workspace
+        self, terms: Float32[F32, "terms verts dirs"], picked: PickedDirections, work: Workspace
     ) -> Float32[F32, "terms verts coeffs"]:
         """Project folded samples, see `fold_pairs`, on the combinations; kept in a buffer."""
         rows = terms.reshape(-1, terms.shape[2])
-        (n, m), (by_mirror, by_turn) = paired.n_pairs, paired.matrices
+        (n, m), (by_mirror, by_turn) = picked.n_pairs, picked.matrices
         _, first, second, third, end = self.offsets
         wide = self.matrix.shape[1]
         product = work.array("product", (len(rows), end))
@@ -136,7 +156,7 @@ class MirroredProduct:
     ) -> Float64[F64, " verts"]:
         """Write the coefficients to rows of ``out`` and return the energy that they explain.
 
-        The quadratic form of `LeastSquaresProjection.residual_energy`, block by block.
+        That is `explained_energy`, block by block.
         """
         n_terms, n_verts, n_coeffs = product.shape
         explained = np.zeros(n_verts)
@@ -178,21 +198,18 @@ class MirroredProduct:
         return coefficients
 
 
-def mirrored_product(
-    projection: LeastSquaresProjection, directions: Float64[F64, "dirs 3"]
-) -> MirroredProduct | None:
-    """Give `MirroredProduct.of`, kept while the projection lives: tile after tile uses the same."""
-    kept = _KEPT.get(id(projection))
-    if kept is not None and np.array_equal(kept[0], directions):
-        return kept[1]
-    made = MirroredProduct.of(projection, directions)
-    if kept is None:
-        weakref.finalize(projection, _KEPT.pop, id(projection), None)
-    _KEPT[id(projection)] = directions, made
-    return made
+Product = PlainProduct | MirroredProduct
 
 
-_KEPT: dict[int, tuple[F64, MirroredProduct | None]] = {}
+def product_of(projection: LeastSquaresProjection, directions: Float64[F64, "dirs 3"]) -> Product:
+    """Give the mirrored product where there is one, else the plain one."""
+    return MirroredProduct.of(projection, directions) or PlainProduct.of(projection)
+
+
+def product_from_tables(arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any]) -> Product:
+    """Read back what the ``tables`` of either product gave."""
+    kind = MirroredProduct if numbers["kind"] == MIRRORED else PlainProduct
+    return kind.from_tables(arrays, numbers)
 
 
 class _Image(NamedTuple):
@@ -247,10 +264,9 @@ def _product(
     # the one of a pair's images that is the other function
     swap = np.argmax(images[:, twos] != twos, axis=0)
     partners, partner_signs = images[swap, twos], signs[swap, twos]
-    by_function = projection.matrix.T.copy()
     rest = projection.gram - (1.0 - 2.0 * projection.ridge) * np.eye(len(own))
-    roots, offsets, quadratic = np.sqrt(projection.weights), [0], []
-    matrix, pair_columns, single_columns = [], np.empty((2, len(twos)), np.int64), ones.copy()
+    offsets, quadratic, combinations = [0], [], []
+    pair_columns, single_columns = np.empty((2, len(twos)), np.int64), ones.copy()
     for parity in PARITIES:
         character = np.array([1, *parity, parity.prod()])
         weights = character[:, None] * signs
@@ -268,8 +284,7 @@ def _product(
             (entries.ravel(), (place.ravel(), images[:, columns].ravel())),
             shape=(len(columns), len(own)),
         )
-        combined = combine @ by_function / size[columns, None]
-        matrix.append((combined / roots).astype(np.float32))
+        combinations.append(diags_array(1.0 / size[columns]) @ combine)
         quadratic.append((combine @ (combine @ rest).T).astype(np.float32))
         offsets.append(offsets[-1] + len(columns))
     order = np.concatenate([images[:, fours].ravel(), twos, partners, ones])
@@ -282,7 +297,7 @@ def _product(
     orbits = np.stack([here, m, i, i[m]])
     return MirroredProduct(
         orbits=orbits[:, orbits.min(axis=0) == here],
-        matrix=np.concatenate([*matrix, matrix[0]]).T.copy(),
+        matrix=_combined(projection, vstack([*combinations, combinations[0]], format="csr")),
         offsets=tuple(offsets),
         quadratic=tuple(quadratic),
         fours=len(fours),
@@ -291,3 +306,13 @@ def _product(
         places=places,
         signs=None if (final > 0.0).all() else final,
     )
+
+
+def _combined(projection: LeastSquaresProjection, combine: csr_array) -> Float32[F32, "dirs wide"]:
+    """Combine columns of the projection, some directions at a time."""
+    matrix = np.empty((len(projection.weights), combine.shape[0]), np.float32)
+    for start in range(0, len(matrix), COMBINED_ROWS):
+        rows = slice(start, start + COMBINED_ROWS)
+        weighted = projection.matrix[rows] / np.sqrt(projection.weights[rows, None])
+        matrix[rows] = (combine @ weighted.T).T
+    return matrix

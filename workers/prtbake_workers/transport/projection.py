@@ -2,8 +2,8 @@
 
 Half of every vertex's samples are zero: the directions under its horizon.  Vertices whose normals
 lie in one narrow cone share the list of directions that any of them can see, and the product of
-samples and projection matrix runs over those alone, two at a time where a `MirroredProduct` pairs
-them.
+samples and projection matrix runs over those alone, which a `MirroredProduct` then takes in
+pairs.
 """
 
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ class ProjectionPlan:
 
     @property
     def dense_share(self) -> float:
-        """Multiplications left, padding included, over those of the dense product."""
+        """Samples multiplied, padding included, over those of the dense product."""
         done = sum(len(group.vertices) * len(group.directions) for group in self.groups)
         return done / max(1, self.n_vertices * self.n_directions)
 

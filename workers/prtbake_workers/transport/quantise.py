@@ -1,5 +1,6 @@
 """Sixteen-bit coefficients, [Tsai2006]_ 5.1, with the error that they cost."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,13 +47,17 @@ class QuantisedTransfer:
         return np.asarray(self.values * self.scale[:, :, None], dtype=np.float32)
 
 
-def quantise_transfer(coefficients: Float32[F32, "verts terms coeffs"]) -> QuantisedTransfer:
+def quantise_transfer(
+    coefficients: Float32[F32, "verts terms coeffs"], *, threads: int = 1
+) -> QuantisedTransfer:
     """Round coefficients to 16 bits and measure what that costs.
 
     Parameters
     ----------
     coefficients
         Whitened, finite.
+    threads
+        Shares of the vertices worked on at a time; the result does not depend on it.
 
     Returns
     -------
@@ -71,30 +76,41 @@ def quantise_transfer(coefficients: Float32[F32, "verts terms coeffs"]) -> Quant
     values = np.empty(coefficients.shape, np.int16)
     scale = np.empty((n_verts, n_terms), np.float32)
     squared_error = np.zeros(n_verts)
-    max_error = 0.0
     step = max(1, CHUNK_NUMBERS // max(1, n_terms * n_coeffs))
-    for start in range(0, n_verts, step):
-        part = slice(start, start + step)
-        block = coefficients[part]
-        # whatever is not finite shows in its row's peak
-        peak = np.maximum(
-            block.max(axis=2, keepdims=True, initial=0.0),
-            -block.min(axis=2, keepdims=True, initial=0.0),
-        )
-        if not np.isfinite(peak).all():
-            vertex, term, index = np.argwhere(~np.isfinite(block))[0].tolist()
-            raise SettingsError(
-                f"coefficient {index} of term {term} of vertex {start + vertex} is not finite"
+
+    def round_some(first: int, stop: int) -> float:
+        """Round vertices, some at a time; give the largest error."""
+        largest = 0.0
+        for start in range(first, stop, step):
+            part = slice(start, min(start + step, stop))
+            block = coefficients[part]
+            # whatever is not finite shows in its row's peak
+            peak = np.maximum(
+                block.max(axis=2, keepdims=True, initial=0.0),
+                -block.min(axis=2, keepdims=True, initial=0.0),
             )
-        own = finest_scale(peak.astype(np.float64), INT16_MAX)
-        level = block / np.where(own > 0.0, own, np.inf)
-        np.rint(level, out=level)
-        values[part], scale[part] = level, own[..., 0]
-        # exact in float32: level x scale takes 24 bits, and lies close to what it rounds
-        level *= own
-        error = np.subtract(block, level, out=level)
-        max_error = max(max_error, float(error.max(initial=0.0)), -float(error.min(initial=0.0)))
-        exact = error.astype(np.float64)
-        squared_error[part] = np.vecdot(exact, exact).sum(axis=1)
+            if not np.isfinite(peak).all():
+                vertex, term, index = np.argwhere(~np.isfinite(block))[0].tolist()
+                raise SettingsError(
+                    f"coefficient {index} of term {term} of vertex {start + vertex} is not finite"
+                )
+            own = finest_scale(peak.astype(np.float64), INT16_MAX)
+            level = block / np.where(own > 0.0, own, np.inf)
+            np.rint(level, out=level)
+            values[part], scale[part] = level, own[..., 0]
+            # exact in float32: level x scale takes 24 bits, and lies close to what it rounds
+            level *= own
+            error = np.subtract(block, level, out=level)
+            largest = max(largest, float(error.max(initial=0.0)), -float(error.min(initial=0.0)))
+            exact = error.astype(np.float64)
+            squared_error[part] = np.vecdot(exact, exact).sum(axis=1)
+        return largest
+
+    bounds = np.linspace(0, n_verts, threads + 1).astype(int).tolist()
+    if threads == 1:
+        max_error = round_some(0, n_verts)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            max_error = max(pool.map(round_some, bounds[:-1], bounds[1:]))
     mean = squared_error.sum() / max(1, n_verts * n_terms * n_coeffs)
     return QuantisedTransfer(values, scale, squared_error, max_error, float(np.sqrt(mean)))
