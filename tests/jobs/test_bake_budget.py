@@ -1,6 +1,7 @@
 """Lone bakes with a budget through the real stages, in this process."""
 
 import copy
+import re
 import time
 from dataclasses import replace
 from math import inf, sqrt
@@ -281,7 +282,7 @@ def test_a_second_is_too_short_and_the_error_tells_the_least(store):
         assert raised.value.pointer == "/budget/max_seconds"
         # the job may be late before it knows; the estimate takes its time
         parsed = job_request_adapter.validate_python(request)
-        with pytest.raises(SettingsError, match=r"1 s are too few: .* predicted to take \d+ s"):
+        with pytest.raises(SettingsError, match=r"1 s are too few: .* predicted to .*\d+ s"):
             predict(parsed, request, context, store)
 
 
@@ -290,6 +291,25 @@ def tried(store, budget, settings, **changes):
     request = normal(budget, settings=settings, effects=NO_BOUNCES, **changes)
     limits = BakeBudget.model_validate(budget)
     return bake_trial.tried(bake_trial.task(request, begun(store, request), limits).args, store)
+
+
+def test_bytes_that_cut_a_trial_short_are_refused_and_not_the_error(store):
+    """They hold 12 centres alone, which leave too much; those that are named let 42 be tried."""
+    fine, error = {"cube_resolution": 12}, {"max_error": 0.05}
+    few = tried(store, error | {"max_bytes": 1}, fine)
+    size = sized(few, 12, few["options"][0]["terms"])
+    budget = error | {"max_bytes": round(1.05 * size)}
+    request = normal(budget, settings=fine, effects=NO_BOUNCES)
+    words = r"; 42 centres are predicted to take (\d+) bytes at least"
+    with pytest.raises(SettingsError, match=words) as raised:
+        run(store, request, begun(store, request))
+    assert raised.value.pointer == "/budget/max_bytes"
+    named = int(re.search(words, str(raised.value))[1])
+    assert named > budget["max_bytes"]
+    more = tried(store, error | {"max_bytes": named}, fine)
+    assert {one["n_centres"] for one in more["candidates"]} == {12, 42}
+    # the twin, that no bytes cut
+    assert tried(store, error, fine)["cut"] is None
 
 
 def test_the_most_centres_beside_a_budget_are_the_most_that_are_tried():
@@ -308,12 +328,17 @@ def test_what_a_bake_refuses_is_pointed_at_among_its_own_settings(store, budget)
 
 def test_what_takes_long_to_try_is_not_tried_for_a_short_time(store):
     """All counts together take no more than a share of the time, and the fewest have to fit."""
-    most = {}
+    most, cut = {}, {}
     for seconds in (8.0, 20.0, None):
         budget = {"max_bytes": 10**9} if seconds is None else {"max_seconds": seconds}
         found = tried(store, budget, {"cube_resolution": 18})
         most[seconds] = max(one["n_centres"] for one in found["candidates"])
+        cut[seconds] = found["cut"]
     assert most[8.0] < most[20.0] <= most[None] == 642
+    next_tried = 4 * most[8.0] - 6
+    assert (cut[8.0]["field"], cut[8.0]["n_centres"]) == ("max_seconds", next_tried)
+    assert cut[8.0]["least"] > 8.0
+    assert cut[None] is None
     # the fewest are as many as the request gives
     with pytest.raises(SettingsError, match="5 s are too few: trying 2562 centres") as raised:
         tried(store, {"max_seconds": 5.0}, {"n_centres": 2562}, receiver=None)

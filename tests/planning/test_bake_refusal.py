@@ -13,7 +13,7 @@ from prtbake_workers.planning.bake_model import BakeModel, Told
 from prtbake_workers.planning.bake_refusal import LATER_SIZE
 from prtbake_workers.planning.bake_search import AIM, MOST_BAKES, choose, delivered
 from prtbake_workers.planning.time_search import MARGIN
-from support.made_up_bakes import UNTIMED, made, model_of, searched, trial
+from support.made_up_bakes import UNTIMED, left, made, model_of, searched, trial
 
 
 def with_errors(one, squared):
@@ -41,9 +41,107 @@ def test_bytes_that_all_bakes_keep_are_not_what_an_error_is_refused_by():
     assert (model.foreseen(told[-1], 4e-3).errors <= 0.04).any()
     choice = choose(model, budget, told, left=None, tolerance=1e-3)
     assert choice.numbers is None
-    field, why = choice.refused
+    assert choice.refused == (
+        "max_error",
+        "an error of 20.00% is not met by the 4 bakes that are made: at best 20.10% was left of a, "
+        "and the largest part of it is what directions and functions leave",
+    )
+
+
+def of_twelve_centres(model, error):
+    """As many bakes as are made, of 12 centres each: the finest is the last."""
+    rows = [model.choices.index((12, fine, 0)) for fine in (12, 24, 36, 48)]
+    told = [with_errors(made(model, model.numbers(row, 4e-3)), error**2) for row in rows]
+    assert len(told) == MOST_BAKES
+    return told
+
+
+def test_bytes_that_hold_back_all_that_keep_an_error_are_refused_after_all_bakes_too():
+    """With 12 centres none is predicted to keep it, and 42 take too many bytes."""
+    model = model_of(glossy=False)
+    told = of_twelve_centres(model, 0.201)
+    budget = BakeBudget(max_error=0.2, max_bytes=round(1.1 * told[0].size))
+    seen = model.foreseen(told[-1], 4e-3)
+    least = ceil(seen.sizes[seen.errors <= 0.04].min() / LATER_SIZE)
+    choice = choose(model, budget, told, left=None, tolerance=1e-3)
+    assert choice.refused == (
+        "max_bytes",
+        f"max_bytes is {budget.max_bytes}: the least that can be asked for for an error of "
+        f"20.00% is predicted to be {least}, by the 4 that were made",
+    )
+    # the twin: bakes so far above the error that no centres are predicted to keep it
+    field, why = choose(
+        model, budget, of_twelve_centres(model, 0.7), left=None, tolerance=1e-3
+    ).refused
     assert field == "max_error"
-    assert "at best 20.10% was left, by the nearest of 4" in why
+    assert "an error of 20.00% cannot be met: at best" in why
+    assert "more than 642 centres and 6 x 48^2 directions are not tried" in why
+
+
+def stopped(field, *, lost=0.0):
+    """A diffuse scene whose trial was cut short after 12 centres."""
+    short = trial(glossy=False)
+    short["candidates"] = [one for one in short["candidates"] if one["n_centres"] == 12]
+    short["options"][0]["lost"] = [lost, 0.0]
+    cut = {"field": field, "n_centres": 42, "least": 250_000}
+    short["cut"] = None if field is None else cut
+    return BakeModel(short, lambda work: 1.0)
+
+
+CUT = {
+    "max_bytes": (
+        {"max_bytes": 100_000},
+        " in 100000 bytes",
+        "; 42 centres are predicted to take 250000 bytes at least",
+    ),
+    "max_seconds": (
+        {"max_seconds": 400.0},
+        " in 400 s",
+        "; 42 centres are tried where there are 250000 s at least",
+    ),
+    None: ({"max_bytes": 10**9, "max_seconds": 400.0}, "", ""),
+}
+
+
+@pytest.mark.parametrize("field", CUT)
+def test_what_cut_a_trial_short_is_refused_where_nothing_tried_keeps_the_error(field):
+    """The twin: where all centres were tried, it is the error."""
+    model = stopped(field)
+    more, inside, tail = CUT[field]
+    seconds = more.get("max_seconds")
+    budget = BakeBudget(max_error=0.2, **more)
+    best = sqrt(left(12, 48) + 1e-5)
+    refused = choose(model, budget, [], left=seconds, tolerance=1e-3).refused
+    assert refused == (
+        field or "max_error",
+        f"an error of 20.00% cannot be met{inside}: at best {best:.2%} is predicted to be left of "
+        "a, and the largest part of it is what directions and functions leave: more than 12 "
+        f"centres and 6 x 48^2 directions are not tried{tail}",
+    )
+
+
+@pytest.mark.parametrize("field", ["max_bytes", "max_seconds"])
+def test_what_cut_a_trial_short_is_refused_after_a_bake_that_errs_by_more(field):
+    model = stopped(field)
+    more, inside, tail = CUT[field]
+    seconds = more.get("max_seconds")
+    budget = BakeBudget(max_error=0.35, **more)
+    first = choose(model, budget, [], left=seconds, tolerance=1e-3).numbers
+    told = [with_errors(made(model, first), 0.16)]
+    refused, why = choose(model, budget, told, left=seconds, tolerance=1e-3).refused
+    assert refused == field
+    assert f"an error of 35.00% cannot be met{inside}: at best " in why
+    assert why.endswith(tail)
+
+
+@pytest.mark.parametrize("lost", [0.02, 0.06])
+def test_what_cut_a_trial_short_does_not_bind_where_terms_alone_leave_too_much(lost):
+    """More centres would not help: of 0.2 squared terms leave a half, or more than all."""
+    budget = BakeBudget(max_error=0.2, max_bytes=100_000)
+    model = stopped("max_bytes", lost=lost)
+    field, why = choose(model, budget, [], left=None, tolerance=1e-3).refused
+    assert field == ("max_bytes" if lost < 0.04 else "max_error")
+    assert ("42 centres" in why) == (lost < 0.04)
 
 
 @pytest.mark.parametrize(

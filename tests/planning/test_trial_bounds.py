@@ -71,6 +71,11 @@ def test_rays_and_products_of_all_that_is_tried_share_what_planning_leaves():
     for name in work:
         assert not time.holds(work | {name: 1.05 * work[name]})
     # what is named would do, for planning too
-    words = time.refusal(42, {name: 3.0 * amount for name, amount in work.items()})
-    assert "12 s are too few: trying 42 centres" in words
-    assert "take 32 s at least" in words
+    more = {name: 2.999 * amount for name, amount in work.items()}
+    words = time.refusal(42, more)
+    assert TrialTime(32.0, rates, planned).holds(more)
+    assert not TrialTime(31.0, rates, planned).holds(more)
+    assert words == (
+        "12 s are too few: trying 42 centres may take a tenth of what planning leaves, "
+        "which is predicted to need a time of 32 s at least"
+    )

@@ -53,6 +53,7 @@ def trial(*, glossy=True, bounced=False, scales=(1.0, 0.3)):
         ],
         "fixed_bytes": 20_000,
         "bounced": bounced,
+        "cut": None,
         "variances": [0.1, 0.05] if bounced else [],
         "candidates": [
             {

@@ -4,6 +4,7 @@ Nothing is baked.  What it leaves is all that `prtbake_workers.planning.bake_mod
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from math import ceil, sqrt
 from typing import Any
 
@@ -17,7 +18,8 @@ from prtbake_workers.jobs.plan import CPU_SECONDS, MEMORY_BYTES, arguments, plan
 from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
 from prtbake_workers.percent import percent
-from prtbake_workers.planning.bake_model import effects_left_out, sized
+from prtbake_workers.planning.bake_model import Cut, effects_left_out, sized
+from prtbake_workers.planning.bake_refusal import LATER_SIZE
 from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.file_bytes import term_bytes
 from prtbake_workers.planning.ladder_steps import terms_at
@@ -113,14 +115,16 @@ def tried(args: dict[str, Any], store: BlobStore) -> dict[str, Any]:
     _check_terms(found, budget.max_error)
     known = plan.artefact_bytes["transfer.h5"]
     found["fixed_bytes"] = known - sized(found, bake.n_coeffs, found["own"]["terms"])
+    pairs, cut = _candidates(planned, found, args["plan"]["seed"], given, budget, args)
     found["candidates"] = [
         {
             "n_centres": one.n_centres,
             "cube_resolution": one.cube_resolution,
             "errors": list(one.errors),
         }
-        for one in _candidates(planned, found, args["plan"]["seed"], given, budget, args)
+        for one in pairs
     ]
+    found["cut"] = None if cut is None else asdict(cut)
     return found
 
 
@@ -202,8 +206,15 @@ def _candidates(
     given: Mapping[str, Any],
     budget: BakeBudget,
     args: Mapping[str, Any],
-) -> list[Candidate]:
+) -> tuple[list[Candidate], Cut | None]:
     """Try centres from few to many, until they are enough or more than the budget allows.
+
+    Returns
+    -------
+    list of Candidate
+        What was tried.
+    Cut or None
+        What of the budget allows no more, if that ended it.
 
     Raises
     ------
@@ -226,22 +237,26 @@ def _candidates(
     seconds = budget.max_seconds
     rates = Rates.from_dict(args.get("rates"))
     time = None if seconds is None else TrialTime(seconds, rates, found["work"]["plan"])
+    cut: Cut | None = None
 
     def worth_trying(
         n_centres: int, before: Sequence[Candidate], work: Mapping[str, float]
     ) -> bool:
+        nonlocal cut
         if not before:
             if time is not None and not time.holds(work):
                 raise SettingsError(time.refusal(n_centres, work), pointer="/budget/max_seconds")
             return True
         if is_enough(found, before, budget.max_error):
             return False
-        most = budget.max_bytes
-        if most is not None and sized(found, n_centres, fewest) > NEARLY * most:
-            return False
-        return time is None or time.holds(work)
+        size = sized(found, n_centres, fewest)
+        if budget.max_bytes is not None and size > NEARLY * budget.max_bytes:
+            cut = Cut("max_bytes", n_centres, ceil(size / LATER_SIZE))
+        elif time is not None and not time.holds(work):
+            cut = Cut("max_seconds", n_centres, time.least(work))
+        return cut is None
 
-    return try_light_resolutions(
+    pairs = try_light_resolutions(
         planned.scene,
         [planned.occluders(part) for part in range(len(planned.factorisations))],
         planned.factorisations,
@@ -250,6 +265,7 @@ def _candidates(
         worth_trying=worth_trying,
         seed=seed + 6,
     )
+    return pairs, cut
 
 
 def coarsest(n_centres: int) -> int:

@@ -94,6 +94,25 @@ class Told:
         return part, max(LINES, key=lambda line: float(getattr(self, line)[part]))
 
 
+@dataclass(frozen=True)
+class Cut:
+    """What ended a trial before its centres were enough.
+
+    Attributes
+    ----------
+    field
+        Of the budget: ``max_bytes`` or ``max_seconds``.
+    n_centres
+        The next that would have been tried.
+    least
+        Of that field, that lets them be tried.
+    """
+
+    field: str
+    n_centres: int
+    least: int
+
+
 @dataclass(frozen=True, eq=False)
 class Foreseen:
     """Predictions for all rows of a model: ``errors`` are squared, of the worst part."""
@@ -131,6 +150,8 @@ class BakeModel:
     cost
         Of each row, in no unit: what is stored, and what is multiplied for it.  The cheapest of
         those that serve is taken.
+    cut
+        What ended the trial, where that was not that its centres were enough, or all.
     """
 
     def __init__(
@@ -139,6 +160,7 @@ class BakeModel:
         self._trial = trial
         self._parts: list[dict[str, Any]] = trial["parts"]
         self._bake = PlannedBake.model_validate(trial["bake"])
+        self.cut = None if trial["cut"] is None else Cut(**trial["cut"])
         options: list[dict[str, Any]] = trial["options"]
         curves = _curves(trial["candidates"])
         self.choices = [

@@ -9,19 +9,22 @@ import numpy as np
 from prtbake_storage.contract.bake_budget import BakeBudget
 from prtbake_workers.arrays import B8, Bool
 from prtbake_workers.percent import percent
-from prtbake_workers.planning.bake_model import BakeModel, Foreseen, Told
+from prtbake_workers.planning.bake_model import BakeModel, Cut, Foreseen, Told
 from prtbake_workers.planning.time_search import MARGIN
 
 LATER_SIZE = 0.995
 """Of bytes that are asked for, that are aimed at: what a refusal names has to leave this room."""
 
 LINES = {
-    "projection": "what directions and functions leave: more than {centres} centres and 6 x "
-    "{fine}^2 directions are not tried{why}",
+    "projection": "what directions and functions leave",
     "terms": "what the BRDF's terms leave: more of them, or a smoother BRDF, would lower it",
     "rest": "what light between surfaces and inside them leaves, or effects that are left out",
 }
 """What a line is that binds, and what would lower it."""
+
+UNBOUNDED = (
+    "nothing bounds what later bounces leave; more bounce_rays or a finer mesh would lower it"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Left:
     Attributes
     ----------
     rows
-        Those of the model that may be made; none where as many were as are made for a budget.
+        Those of the model that were not made, also where as many were as are made for a budget.
     fits
         Those that the bytes hold.
     nearly
@@ -51,20 +54,37 @@ class Left:
         """Those of the rows that are predicted to keep the error."""
         return np.asarray(self.rows & (self.seen.errors <= self.nearly**2))
 
+    @property
+    def keeping(self) -> Bool[B8, " rows"]:
+        """Those of the rows that are predicted to keep all that is asked for."""
+        until = np.inf if self.seconds is None else self.seconds
+        return np.asarray(self.within & self.fits & (MARGIN * self.seen.seconds <= until))
+
+    @property
+    def centres_help(self) -> bool:
+        """Whether terms and the rest alone are predicted to leave room in the error."""
+        others = (self.seen.terms + self.seen.rest).max(axis=1)
+        return bool(others.min() <= self.nearly**2)
+
 
 def refusal(
     model: BakeModel, budget: BakeBudget, told: Sequence[Told], left: Left
 ) -> tuple[str, str]:
     """Say which field cannot be kept, the best that can be, and what binds.
 
-    The error binds where no bake that was made keeps it and none that is left is predicted to; then
-    the bytes, where they hold none of these; the time where they do.
+    The error binds where no bake that was made keeps it and none that is left is predicted to, or
+    where one is and as many were made as are; what ended the trial binds where more centres might
+    have kept the error; then the bytes, where they hold none of these; the time where they do.
     """
     met = [one for one in told if budget.max_error is None or one.error <= budget.max_error]
+    if not met and left.keeping.any():
+        return "max_error", _missed(model, budget, told)
     if not met and not left.within.any():
-        return "max_error", _error_refused(model, budget, told, left)
+        cut = model.cut if left.centres_help else None
+        field = "max_error" if cut is None else cut.field
+        return field, _error_refused(model, budget, told, left, cut)
     within = left.within & left.fits
-    if left.seconds is not None and within.any():
+    if left.seconds is not None and within.any() and not left.keeping.any():
         needed = MARGIN * float(left.seen.seconds[within].min())
         return (
             "max_seconds",
@@ -81,7 +101,8 @@ def _bytes_refused(
     # what nearly keeps the error is tried, but is nothing to promise where another does keep it
     keeps = left.rows & (left.seen.errors <= (budget.max_error or np.inf) ** 2)
     rows = keeps if keeps.any() else left.within
-    predicted = float(np.where(rows, left.seen.sizes, np.inf).min())
+    # what fits is left only where as many were made as are, and names no more bytes to ask for
+    predicted = float(np.where(rows & ~left.fits, left.seen.sizes, np.inf).min())
     measured = min((one.size for one in met), default=np.inf)
     least = ceil(min(measured, predicted) / LATER_SIZE)
     how = "was found to be" if measured <= predicted else "is predicted to be"
@@ -96,8 +117,24 @@ def _of_all(told: Sequence[Told]) -> str:
     return "the one that was made" if len(told) == 1 else f"the {len(told)} that were made"
 
 
-def _error_refused(model: BakeModel, budget: BakeBudget, told: Sequence[Told], left: Left) -> str:
-    max_error, seconds = budget.max_error or 0.0, budget.max_seconds
+def _missed(model: BakeModel, budget: BakeBudget, told: Sequence[Told]) -> str:
+    """Say that as many bakes were made as are, where others are predicted to keep the budget."""
+    asked = f"an error of {percent(budget.max_error or 0.0)}"
+    nearest = min(told, key=lambda one: one.error)
+    why = f"{asked} is not met by the {len(told)} bakes that are made"
+    if not np.isfinite(nearest.error):
+        return f"{why}: {UNBOUNDED}"
+    part, line = nearest.worst()
+    return (
+        f"{why}: at best {percent(nearest.error)} was left{_whose(model, part)}, and the largest "
+        f"part of it is {LINES[line]}"
+    )
+
+
+def _error_refused(
+    model: BakeModel, budget: BakeBudget, told: Sequence[Told], left: Left, cut: Cut | None
+) -> str:
+    """Say what is left at best of what was tried, and what more centres take if that binds."""
     errors = np.where(left.rows, left.seen.errors, np.inf)
     row = int(errors.argmin())
     (part, line), best = left.seen.worst(row), float(np.sqrt(errors[row]))
@@ -106,16 +143,30 @@ def _error_refused(model: BakeModel, budget: BakeBudget, told: Sequence[Told], l
     if nearest is not None and nearest.error <= (1.0 + 1e-9) * best:
         (part, line), best = nearest.worst(), nearest.error
         how = f"was left, by the nearest of {len(told)}" if len(told) > 1 else "was left"
+    inside, more = _cut_in_words(budget, cut)
+    why = f"an error of {percent(budget.max_error or 0.0)} cannot be met{inside}"
     if not np.isfinite(best):
-        return (
-            f"an error of {percent(max_error)} cannot be met: nothing bounds what later "
-            "bounces leave; more bounce_rays or a finer mesh would lower it"
-        )
-    centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
-    why = "" if seconds is None else f" in {seconds:g} s"
-    words = LINES[line].format(centres=centres, fine=fine, why=why)
-    whose = f" of {model.names[part]}" if len(model.names) > 1 else ""
+        return f"{why}: {UNBOUNDED}"
+    words = LINES[line]
+    if line == "projection":
+        centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
+        words += f": more than {centres} centres and 6 x {fine}^2 directions are not tried"
     return (
-        f"an error of {percent(max_error)} cannot be met: at best {percent(best)} "
-        f"{how}{whose}, and the largest part of it is {words}"
+        f"{why}: at best {percent(best)} {how}{_whose(model, part)}, and the largest part of it "
+        f"is {words}{more}"
     )
+
+
+def _cut_in_words(budget: BakeBudget, cut: Cut | None) -> tuple[str, str]:
+    """Say in what an error cannot be met, and what the next centres take of it."""
+    if cut is None:
+        return "", ""
+    if cut.field == "max_bytes":
+        words = f"are predicted to take {cut.least} bytes at least"
+        return f" in {budget.max_bytes} bytes", f"; {cut.n_centres} centres {words}"
+    words = f"are tried where there are {cut.least} s at least"
+    return f" in {budget.max_seconds:g} s", f"; {cut.n_centres} centres {words}"
+
+
+def _whose(model: BakeModel, part: int) -> str:
+    return f" of {model.names[part]}" if len(model.names) > 1 else ""

@@ -117,7 +117,8 @@ def choose(
         # bounces grow by the noise of rays, of which no other choice takes more
         return Choice(None)
     aimed = bounce_tolerance(budget, last, tolerance)
-    seen, rows = model.foreseen(last, aimed), _untried(model, told, aimed)
+    seen, unmade = model.foreseen(last, aimed), _unmade(model, told, aimed)
+    rows = unmade if len(told) < MOST_BAKES else np.zeros_like(unmade)
     for share in (LATER_SIZE,) if told else (FIRST_SIZE, LATER_SIZE):
         fits = rows & _in_size(budget, seen, share)
         row = (
@@ -131,21 +132,21 @@ def choose(
         return Choice(None)
     rest = Left(
         seen,
-        rows,
+        unmade,
         _in_size(budget, seen, LATER_SIZE if told else NEARLY),
         np.inf if asked is None else _nearly(asked, told),
         left,
     )
     # while nothing was measured, what is predicted to take a little more may fit
-    row = _least(seen.sizes, rest.within & rest.fits & _in_time(seen, left))
+    row = _least(seen.sizes, rows & rest.keeping)
     if row is not None:
         return Choice(model.numbers(row, aimed))
     return Choice(None, refusal(model, budget, told, rest))
 
 
-def _untried(model: BakeModel, told: Sequence[Told], tolerance: float) -> Bool[B8, " rows"]:
-    """Tell which rows may be made: none that was, and none once as many were as may be."""
-    found = np.full(len(model.choices), len(told) < MOST_BAKES, np.bool_)
+def _unmade(model: BakeModel, told: Sequence[Told], tolerance: float) -> Bool[B8, " rows"]:
+    """Tell which rows were not made by such a tolerance of bounces."""
+    found = np.ones(len(model.choices), np.bool_)
     found[[model.row(one.numbers) for one in told if one.numbers.bounce_tolerance == tolerance]] = (
         False
     )

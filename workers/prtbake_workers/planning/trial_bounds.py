@@ -68,12 +68,16 @@ class TrialTime:
         left = self.max_seconds - self._seconds(self.planned)
         return self._seconds(work) <= TRIAL_SHARE * left
 
+    def least(self, work: Mapping[str, float]) -> int:
+        """Give the least whole seconds that hold such work."""
+        return ceil(self._seconds(self.planned) + self._seconds(work) / TRIAL_SHARE)
+
     def refusal(self, n_centres: int, work: Mapping[str, float]) -> str:
         """Say that not even the fewest centres can be tried in time."""
-        least = self._seconds(self.planned) + self._seconds(work) / TRIAL_SHARE
         return (
             f"{self.max_seconds:g} s are too few: trying {n_centres} centres may take a tenth of "
-            f"what planning leaves, and both are predicted to take {ceil(least)} s at least"
+            "what planning leaves, which is predicted to need a time of "
+            f"{self.least(work)} s at least"
         )
 
     def _seconds(self, work: Mapping[str, float]) -> float:
