@@ -22,7 +22,7 @@ LINES = {
 }
 """What a line is that binds, and what would lower it."""
 
-UNBOUNDED = (
+NOTHING_BOUNDS = (
     "nothing bounds what later bounces leave; more bounce_rays or a finer mesh would lower it"
 )
 
@@ -123,7 +123,7 @@ def _missed(model: BakeModel, budget: BakeBudget, told: Sequence[Told]) -> str:
     nearest = min(told, key=lambda one: one.error)
     why = f"{asked} is not met by the {len(told)} bakes that are made"
     if not np.isfinite(nearest.error):
-        return f"{why}: {UNBOUNDED}"
+        return f"{why}: {NOTHING_BOUNDS}"
     part, line = nearest.worst()
     return (
         f"{why}: at best {percent(nearest.error)} was left{_whose(model, part)}, and the largest "
@@ -146,7 +146,7 @@ def _error_refused(
     inside, more = _cut_in_words(budget, cut)
     why = f"an error of {percent(budget.max_error or 0.0)} cannot be met{inside}"
     if not np.isfinite(best):
-        return f"{why}: {UNBOUNDED}"
+        return f"{why}: {NOTHING_BOUNDS}"
     words = LINES[line]
     if line == "projection":
         centres, fine = (max(choice[place] for choice in model.choices) for place in (0, 1))
