@@ -4,6 +4,7 @@ import pytest
 from prtbake_workers.compress.clusters import members_by_cluster
 from prtbake_workers.compress.cpca import compress_cpca
 from prtbake_workers.compress.lbg import lbg
+from prtbake_workers.compress.monotone import FOLLOWED_SHORT, ObjectiveRose
 from prtbake_workers.compress.moving_means import MovingMeans
 
 
@@ -62,7 +63,7 @@ def _followed_too_low(monkeypatch, share):
 
 
 def test_the_last_objective_is_measured(diffuse, monkeypatch):
-    _followed_too_low(monkeypatch, 0.999)
+    _followed_too_low(monkeypatch, 1.0 - 0.9 * FOLLOWED_SHORT)
     result = _run(diffuse, 30, weights=np.linspace(0.5, 2.0, len(diffuse)))
     distortion = np.linspace(0.5, 2.0, len(diffuse)) @ result.squared_distances
     assert result.objective[-1] == distortion
@@ -70,9 +71,20 @@ def test_the_last_objective_is_measured(diffuse, monkeypatch):
     assert _run(diffuse, 30, max_iterations=0).objective == []
 
 
+def test_a_distortion_followed_much_too_low_is_refused(diffuse, monkeypatch):
+    energy = np.sum(diffuse.astype(float) ** 2)
+    left = _run(diffuse, 30).objective[-1]
+    _followed_too_low(monkeypatch, 1.0 - 2.0 * FOLLOWED_SHORT * float(energy / left))
+    with pytest.raises(ObjectiveRose, match="LBG: a squared error"):
+        _run(diffuse, 30)
+
+
 def test_a_distortion_followed_too_low_fails_no_component_that_goes_on_from_it(rng, monkeypatch):
-    """Noise, of which a component wins about (1 + 1)^2 / 200, less than what is missing."""
-    signal = rng.standard_normal((400, 200)).astype(np.float32)
+    """Noise, of which a component wins about (1 + 1)^2 / 200, less than what is missing.
+
+    Both are little beside the square of the constant.
+    """
+    signal = 300.0 + rng.standard_normal((400, 200)).astype(np.float32)
     _followed_too_low(monkeypatch, 0.9)
     for method in ("static", "iterative"):
         objective = compress_cpca(signal, 2, 1, method=method, seed=1, max_iterations=5).objective

@@ -1,6 +1,11 @@
 import pytest
 
-from prtbake_workers.compress.monotone import ALLOWED_RISE, ObjectiveRose, ObjectiveTrace
+from prtbake_workers.compress.monotone import (
+    ALLOWED_RISE,
+    FOLLOWED_SHORT,
+    ObjectiveRose,
+    ObjectiveTrace,
+)
 
 
 def test_falling_and_rounding_are_accepted() -> None:
@@ -20,19 +25,30 @@ def test_a_rise_is_refused_with_its_step(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("may_rise", "expected"), [(False, [5.0, 4.2, 4.2]), (True, [5.0, 4.0, 4.2])]
+    ("may_rise", "expected"), [(False, [5.0, 4.0001, 4.0001]), (True, [5.0, 4.0, 4.0001])]
 )
 def test_a_measured_objective_takes_the_place_of_the_last(
     may_rise: bool, expected: list[float]
 ) -> None:
-    trace = ObjectiveTrace(10.0, "test", may_rise=may_rise)
-    for value in (5.0, 4.0, 3.9):
+    trace = ObjectiveTrace(20.0, "test", may_rise=may_rise)
+    for value in (5.0, 4.0, 4.0001 - 0.9 * FOLLOWED_SHORT * 20.0):
         trace.append(value)
-    trace.measured(4.2)
+    trace.measured(4.0001)
     assert trace.values == expected
     empty = ObjectiveTrace(10.0, "test")
     empty.measured(4.2)
     assert empty.values == []
+
+
+@pytest.mark.parametrize("may_rise", [False, True])
+@pytest.mark.parametrize("value", [3.9 + 1.1 * FOLLOWED_SHORT * 20.0, float("nan"), float("inf")])
+def test_an_objective_that_was_followed_too_low_is_refused(value: float, may_rise: bool) -> None:
+    trace = ObjectiveTrace(20.0, "test", may_rise=may_rise)
+    for one in (5.0, 4.0, 3.9):
+        trace.append(one)
+    with pytest.raises(ObjectiveRose, match="measured"):
+        trace.measured(value)
+    assert trace.values == [5.0, 4.0, 3.9]
 
 
 def test_convergence_needs_two_steps_or_no_error() -> None:

@@ -119,6 +119,12 @@ def lbg(
     progress
         Called after each iteration.
 
+    Raises
+    ------
+    ObjectiveRose
+        Where the squared error rises, or was followed below what is measured in the end: see
+        `ObjectiveTrace`.
+
     Notes
     -----
     A vertex moves only when its squared distance, taken as the difference itself, falls

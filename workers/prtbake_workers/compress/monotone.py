@@ -14,6 +14,11 @@ from prtbake_workers.deadline import time_for
 # factor is 6e-8, and differences of energies inherit it.
 ALLOWED_RISE = 1e-7
 
+# What an objective that was followed may lack of the measured one, as a share of the same.  A step
+# adds and takes away squared distances that are together at most a few times the squared norm, each
+# right to 1e-6: some steps cost this where all of them err alike, and far less as they do not.
+FOLLOWED_SHORT = 1e-5
+
 
 class ObjectiveRose(PrtError):
     """A step that must not raise the squared error did: a fault of the program, not of the data."""
@@ -68,8 +73,23 @@ class ObjectiveTrace:
         """Put the last objective right, where it was followed rather than measured.
 
         Unless it may rise, none before it was lower: those that were followed below it are raised.
+
+        Raises
+        ------
+        ObjectiveRose
+            When ``value`` is above the last one by more than ``FOLLOWED_SHORT`` of the squared
+            norm, or is not a number.
         """
+        if not math.isfinite(value):
+            raise ObjectiveRose(f"{self.name}: objective {value} was measured")
         if self.values:
+            short = value - self.values[-1]
+            if short > FOLLOWED_SHORT * self.squared_norm:
+                raise ObjectiveRose(
+                    f"{self.name}: a squared error of {value:.9g} was measured and followed as "
+                    f"{self.values[-1]:.9g}, {short / self.squared_norm:.2e} of the input's "
+                    "squared norm less"
+                )
             self.values[-1] = value
         if not self.may_rise:
             self.values = [max(one, value) for one in self.values]
