@@ -17,6 +17,7 @@ from prtbake_workers.geometry.teapot import teapot
 from prtbake_workers.planning import trial_compression
 from prtbake_workers.planning.cost import part_cost
 from prtbake_workers.planning.file_bytes import NumberBytes
+from prtbake_workers.planning.packed_factors import WholePart, factor_bytes
 from prtbake_workers.planning.planned import BouncePlan, PartPlan, Plan
 from prtbake_workers.planning.presets import PartCompression, PlannedBake
 from prtbake_workers.planning.sampled_clusters import (
@@ -43,6 +44,18 @@ POT = Scene.from_parts([teapot(6)])
 BLOCKED = Accelerator(POT.positions, POT.faces)
 FEW = PartCompression("cpca", 4, (1, 1, 1), 8)
 MANY = PartCompression("cpca", 30, (1, 1, 1), 6)
+LONE = PartCompression("cpca", 1, (1, 1, 1), 16)
+TENSOR = PartCompression("cta", 4, (4, 32, 16), 6)
+SIZE = TrialSize(
+    n_verts=800,
+    n_terms=1,
+    n_coeffs=BASIS.n,
+    n_channels=1,
+    n_dirs=384,
+    whole_verts=10_000,
+    compression=FEW,
+    rays=True,
+)
 
 
 def planned(scene, compression, bounces=None):
@@ -173,28 +186,52 @@ def test_rays_are_counted_where_something_may_block():
     assert blocked.work["trial_flops"] == free.work["trial_flops"] > 0.0
 
 
-def test_memory_holds_what_drawing_sampling_and_compressing_do():
-    size = TrialSize(
-        n_verts=800,
-        n_terms=1,
-        n_coeffs=BASIS.n,
-        n_channels=1,
-        n_dirs=384,
-        whole_verts=10_000,
-        compression=FEW,
-        rays=True,
-    )
-    # measured by tracemalloc; the largest of the three counts
+def test_more_to_look_at_is_more_work():
+    before = SIZE.work["trial_flops"]
+    for changes in (
+        {"n_terms": 2},
+        {"n_coeffs": 2 * BASIS.n},
+        {"n_channels": 3},
+        {"n_dirs": 768},
+        {"texels": 1000},
+        {"compression": replace(FEW, n_components=16)},
+    ):
+        assert replace(SIZE, **changes).work["trial_flops"] > before, changes
+    # twice the vertices in as many clusters: only their means and components are no more
+    twice = replace(SIZE, n_verts=2 * SIZE.n_verts).work
+    assert twice["trial_flops"] == pytest.approx(2.0 * before, rel=0.1)
+    assert twice["trial_rays"] == 2.0 * SIZE.work["trial_rays"]
+    assert replace(SIZE, n_verts=0).work == {}
+
+
+def test_memory_holds_what_drawing_and_sampling_do():
+    # measured by tracemalloc; the largest of three counts
     scene = Scene.from_parts([ball(6)])
     held = peak_of(
         lambda: draw_clusters(scene, 0, 100, rank=8, n_values=42, rng=np.random.default_rng(0))
     )
-    foreseen = replace(size, whole_verts=scene.n_vertices, n_verts=1).memory_bytes
+    foreseen = replace(SIZE, whole_verts=scene.n_vertices, n_verts=1).memory_bytes
     assert foreseen == pytest.approx(held, rel=0.25)
     verts = np.arange(800)
     directions = SampledDirections.of(BASIS, RESOLUTION)
     held = peak_of(lambda: sampled_coefficients(POT, verts, MATT, BLOCKED, directions))
-    assert size.memory_bytes == pytest.approx(held, rel=0.25)
+    assert SIZE.memory_bytes == pytest.approx(held, rel=0.25)
+
+
+@pytest.mark.parametrize("compression", [LONE, TENSOR], ids=["cpca", "cta"])
+def test_memory_holds_what_compressing_does(rng, compression):
+    size = replace(SIZE, n_verts=256, n_terms=4, n_coeffs=642, compression=compression)
+    coefficients = rng.standard_normal((256, 4, 642), np.float32)
+    whole = WholePart(1000, compression, 10_000, None)
+
+    def compressed():
+        copy = np.tile(coefficients, (1, 1, 1))
+        factor_bytes(copy, np.ones(256), compression.n_clusters, whole, share=SHARE)
+
+    held = coefficients.nbytes + peak_of(compressed)
+    assert size.memory_bytes == pytest.approx(held, rel=0.1)
+    # negative twin: neither drawing nor sampling holds as much
+    assert replace(size, n_coeffs=1).memory_bytes < 0.5 * held
 
 
 def peak_of(call):

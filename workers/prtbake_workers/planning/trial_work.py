@@ -15,8 +15,9 @@ from prtbake_workers.planning.search_work import searched_work
 PLACE_BYTES = 140
 """Of a vertex of the whole part while clusters are drawn: 131 measured."""
 
-TENSOR_BYTES, SIGNAL_BYTES = 25, 33
-"""Of a coefficient while it is compressed, itself and its copy included: 24 and 33 measured."""
+COMPRESSED_BYTES = 26
+"""Of a coefficient while it is compressed, itself and its copy included: 18 to 25 measured of
+tensors of a hundred vertices or more, and 12 to 26 of signals, most where all are one cluster."""
 
 SAMPLE_FLOPS, PROJECTED_FLOPS = 100.0, 0.1
 """A vertex in a direction, and each of its terms there; a float32 product that projects it."""
@@ -89,8 +90,7 @@ class TrialSize:
         # samples of all terms; of a block local directions, visibility and terms
         sampling = 4 * samples * self.n_terms + 4 * block * (5 + self.n_terms)
         values = self.n_verts * self.n_channels * self.n_terms * self.n_coeffs
-        each = TENSOR_BYTES if self.compression.method == "cta" else SIGNAL_BYTES
-        return max(PLACE_BYTES * self.whole_verts, sampling, each * values)
+        return max(PLACE_BYTES * self.whole_verts, sampling, COMPRESSED_BYTES * values)
 
 
 def directions_work(*, n_dirs: int, n_coeffs: int) -> dict[str, float]:
