@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from prtbake_storage.decode.quantise import SMALLEST_SCALE, quantise
 from prtbake_storage.errors import SettingsError
-from prtbake_workers.transport.quantise import ERROR_BOUND, quantise_transfer
+from prtbake_workers.transport.quantise import CHUNK_NUMBERS, ERROR_BOUND, quantise_transfer
 
 
 def coefficients(rng, n_verts=300):
@@ -28,6 +29,53 @@ def test_error_is_measured_and_bounded(rng):
     step = np.abs(signal).max() / 32767
     coarse = np.rint(signal / step) * step - signal
     assert ((coarse**2).sum(axis=2) / (signal**2).sum(axis=2)).max() > 0.5
+
+
+def rows_by_kind(rng):
+    """Rows that rounding may treat otherwise, by what they hold."""
+    faint = coefficients(rng, 8)
+    # about the peak below which a step would be denormal, and at it
+    faint *= 32767 * SMALLEST_SCALE / np.abs(faint).max(axis=2, keepdims=True)
+    faint[:, 0] *= np.float32(0.5)
+    faint[:, 1] *= np.float32(2.0)
+    steps = rng.integers(-32766, 32767, (8, 4, 162)) + rng.choice([-0.5, 0.5], (8, 4, 162))
+    steps[..., 0] = 32767.0
+    return {
+        "brightness over eight decades": coefficients(rng),
+        "steps about the smallest": faint,
+        "halves of a step": (steps * 2.0**-20).astype(np.float32),
+        "a vertex at a time": rng.normal(size=(3, 2, CHUNK_NUMBERS // 2 + 1)).astype(np.float32),
+        "no more than signs": rng.choice([-1.0, 0.0, 1.0], (8, 4, 162)).astype(np.float32),
+    }
+
+
+def test_numbers_are_rounded_as_those_of_an_asset_are(rng):
+    for kind, signal in rows_by_kind(rng).items():
+        packed, plain = quantise_transfer(signal), quantise(signal, (2,))
+        np.testing.assert_array_equal(packed.values, plain.values, err_msg=kind)
+        np.testing.assert_array_equal(packed.scale, plain.scale[:, :, 0], err_msg=kind)
+        # float32 holds every difference: none is rounded
+        error = signal.astype(np.float64) - plain.dequantised()
+        np.testing.assert_allclose(
+            packed.squared_error, (error**2).sum(axis=(1, 2)), rtol=1e-12, err_msg=kind
+        )
+        assert packed.max_error == np.abs(error).max(), kind
+
+
+def test_rows_about_the_smallest_step_and_halves_are_what_they_are_said_to_be(rng):
+    """Negative twin: each of them is where another rule rounds otherwise."""
+    kinds = rows_by_kind(rng)
+    faint = quantise_transfer(kinds["steps about the smallest"])
+    assert not faint.scale[:, 0].any()
+    assert not faint.values[:, 0].any()
+    assert (faint.scale[:, 1] > 0.0).all()
+    assert (np.abs(faint.values[:, 1]).max(axis=1) > 16_000).all()
+    halves = kinds["halves of a step"]
+    packed = quantise_transfer(halves)
+    assert (packed.scale == 2.0**-20).all()
+    assert (packed.values[..., 1:] % 2 == 0).all()
+    up = np.floor(halves * 2.0**20 + 0.5)
+    assert 0.4 < (packed.values != up).mean() < 0.6
 
 
 def test_bytes_do_not_depend_on_the_blocks(rng):
