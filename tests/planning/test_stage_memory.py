@@ -1,5 +1,8 @@
 """Predicted memory: how it grows, and where it stops growing."""
 
+import tracemalloc
+
+import numpy as np
 import pytest
 
 from prtbake_storage.contract.light import FitLightSettings
@@ -16,6 +19,7 @@ from prtbake_workers.planning.stage_memory import (
     render_memory_bytes,
     validate_memory_bytes,
 )
+from prtbake_workers.transport.quantise import quantise_transfer
 
 BAKE = PlannedBake(cube_resolution=8, n_centres=42)
 
@@ -97,6 +101,20 @@ def test_the_other_stages_grow_with_what_they_hold():
     few, many = (fit_memory_bytes(FitLightSettings(n_lobes=n), n_texels=1 << 17) for n in (9, 90))
     assert many > few
     assert fit_memory_bytes(FitLightSettings(n_lobes=90), n_texels=64) < many
+
+
+@pytest.mark.parametrize(("verts", "values"), [(8, 1 << 17), (1 << 10, 1 << 10)])
+def test_rounding_holds_levels_of_all_and_more_of_those_at_hand(rng, verts, values):
+    """One vertex at a time, which is more than is rounded at a time of others, and 64."""
+    total = rng.standard_normal((verts, 1, values), np.float32)
+    tracemalloc.start()
+    quantise_transfer(total)
+    held = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # direct light and the sum were there before
+    before = CHILD_BYTES + 2 * total.nbytes
+    predicted = add_bounces_memory_bytes(verts, values, n_blocks=values) - before
+    assert predicted == pytest.approx(held, rel=0.03)
 
 
 def test_a_fit_holds_the_pieces_of_the_map():

@@ -39,9 +39,10 @@ FIT_SAMPLE_BYTES, PIECE_BYTES = 112, 137
 PIXEL_BYTES = 370
 """Of a preview, at four points a pixel."""
 
-ROUNDED_VALUE_BYTES = 27
-"""Of a coefficient of the vertices that are rounded at a time: in float64 with what rounding leaves
-of it, and copies in 16 and 32 bits.  A rough count."""
+ROUNDED_VALUE_BYTES = 20
+"""Of a coefficient of the vertices that are rounded at a time: its level in float32, in whose place
+is then what rounding leaves, and that in float64, which is still held of those before them.  Levels
+in 16 bits are those of the whole."""
 
 REBUILT_BYTES, REBUILT_VERTS = 20, 2048
 """Of a coefficient that quantisation is measured by, at so many vertices at once."""
@@ -84,7 +85,7 @@ def add_bounces_memory_bytes(
     """Predict what laying bounces over a tile holds.
 
     Direct light and the sum in float32, with one of ``n_blocks`` in 16 bits and in float32, and
-    later the whole in 16 bits with those values in float64 that are being rounded.
+    later the whole in 16 bits with those values that are being rounded, see `ROUNDED_VALUE_BYTES`.
 
     Parameters
     ----------
