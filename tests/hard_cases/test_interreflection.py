@@ -299,7 +299,7 @@ def test_a_closed_white_room_lit_through_a_pinhole_says_that_it_has_no_good_boun
     assert any("no bound" in message for message in report.messages)
 
 
-def glossy_teapot(n_rays, *, seed=3, max_bounces=40):
+def glossy_teapot(n_rays, *, seed=3, max_bounces=40, progress=None):
     """A glossy teapot of few vertices: nine tenths of the light goes into a lobe."""
     scene = Scene.from_parts([teapot(3)])
     brdf = factorise(
@@ -309,6 +309,7 @@ def glossy_teapot(n_rays, *, seed=3, max_bounces=40):
     return bounce_block(
         opaque(scene), [direct], factorisations=[brdf], albedo=Albedo.constant(1.0), n_channels=1,
         n_rays=[n_rays], seed=seed, max_bounces=max_bounces, tolerance=1e-9, rounds=[0],
+        progress=progress,
     )  # fmt: skip
 
 
@@ -334,6 +335,27 @@ def test_bounces_that_grow_by_the_noise_of_few_rays_end_with_the_least(
     assert len(endless) == max_bounces
     np.testing.assert_array_equal(endless[: len(energies)], energies)
     assert endless[-1] > 1.05 * energies[-1]
+
+
+def test_bounces_that_are_found_anew_are_counted_on_and_may_be_stopped():
+    told = []
+    found = glossy_teapot(
+        4, seed=4, max_bounces=12, progress=lambda done, most: told.append((done, most))
+    )
+    assert found.grows
+    anew = len(found.bounce_energies)
+    grown = len(told) - anew
+    assert grown > anew
+    # no bounce is told twice, and the last one is the last that there was to do
+    assert [done for done, _ in told] == list(range(1, grown + anew + 1))
+    assert [most for _, most in told] == [12] * grown + [grown + anew] * anew
+
+    def stop(done, most):
+        if done > grown:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        glossy_teapot(4, seed=4, max_bounces=12, progress=stop)
 
 
 def test_the_noise_of_bounces_that_grow_is_that_of_those_that_are_added():

@@ -136,7 +136,7 @@ def bounce_block(
         Of means over neighbours, a number a part; None takes those that are measured to lower the
         error most.
     progress
-        Called with bounces done and at most to do.
+        Called with bounces done and at most to do; those that are found anew are counted on.
 
     Returns
     -------
@@ -183,11 +183,11 @@ def bounce_block(
     series = _Series(scene, casting, media, numbers, sent, tolerance)
     grows = series.run(max_bounces, may_grow=not is_bound, progress=progress)
     if grows:
-        least = series.least
+        least, before = series.least, len(series.energies)
         # the grown ones go before the others come
         del series, sent
         series = _Series(scene, casting, media, numbers, leaving_first(), tolerance)
-        series.run(least, may_grow=False)
+        series.run(least, may_grow=False, progress=progress, before=before)
     sent, totals, energies, total = series.sent, series.totals, series.energies, series.total
     remainder = None
     if max_bounces and not grows:
@@ -268,9 +268,17 @@ class _Series:
         return 1 + int(np.argmin([one.sum() for one in self.energies]))
 
     def run(
-        self, most: int, *, may_grow: bool, progress: Callable[[int, int], None] | None = None
+        self,
+        most: int,
+        *,
+        may_grow: bool,
+        progress: Callable[[int, int], None] | None = None,
+        before: int = 0,
     ) -> bool:
-        """Add bounces until one is small, or they grow, at most so many; tell whether they do."""
+        """Add bounces until one is small, or they grow, at most so many; tell whether they do.
+
+        Progress counts on from ``before``.
+        """
         first, later = (list(one) for one in self._numbers)
         self.gathers = self._casting.parts(first if most else ())
         while len(self.energies) < most and self.total.any():
@@ -284,7 +292,7 @@ class _Series:
             self.energies.append(_energy(self._scene, self.sent))
             self.total = _energy(self._scene, self.totals)
             if progress is not None:
-                progress(len(self.energies), most)
+                progress(before + len(self.energies), before + most)
             if (self.energies[-1] <= self._tolerance * self.total).all():
                 return False
             if may_grow and self._grow(is_last=len(self.energies) == most):
