@@ -6,6 +6,7 @@ from prtbake_storage.errors import BrdfError, SettingsError
 from prtbake_workers.brdf.factorise import factorise
 from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
+from prtbake_workers.percent import percent
 
 # enough azimuths that the grid's last order, which no basis may use, stands behind 20 others
 N_THETA, N_PHI = 4, 24
@@ -35,10 +36,10 @@ def test_the_reference_spectra_come_out(row, percents):
     """Every figure of the table, to the digits that it gives."""
     found = factorise(brdf_from_spec(spec_of(*row)), n_terms=1, n_nodes=3).singular_values
     assert len(found) == 28 * 112
-    for count, percent in zip(COUNTS, percents.split(), strict=True):
-        places = len(percent.partition(".")[2])
+    for count, share in zip(COUNTS, percents.split(), strict=True):
+        places = len(share.partition(".")[2])
         lost = 100 * energy_lost_by_terms(found, count)
-        assert abs(lost - float(percent)) <= 0.5 * 10**-places, (count, lost)
+        assert abs(lost - float(share)) <= 0.5 * 10**-places, (count, lost)
 
 
 @pytest.mark.parametrize("change", [{"kd": 0.29}, {"f0": 0.11}, {"m": 0.505}, {"ks": 0.72}])
@@ -47,7 +48,7 @@ def test_the_table_tells_a_wrong_brdf(change):
     wrong = CookTorranceSpec(m=0.5).model_copy(update=change)
     found = factorise(brdf_from_spec(wrong), n_terms=1, n_nodes=3).singular_values
     lost = [100 * energy_lost_by_terms(found, count) for count in COUNTS[:3]]
-    wanted = [float(percent) for percent in TABLE["m", 0.5].split()[:3]]
+    wanted = [float(share) for share in TABLE["m", 0.5].split()[:3]]
     assert np.abs(np.subtract(lost, wanted)).max() > 0.05
 
 
@@ -203,7 +204,7 @@ def test_the_energy_lost_off_the_grid_is_stated(spec):
     expected = error_at_random(brdf, found)
     # 4 % is the standard error of the Monte Carlo estimate over six seeds
     assert found.energy_lost == pytest.approx(expected, rel=0.12)
-    assert f"{found.energy_lost:.1%} in truth" in found.note
+    assert f"{percent(found.energy_lost)} in truth" in found.note
     # negative twin: the spectrum on the grid
     assert energy_lost_by_terms(found.singular_values, 128) < 0.7 * expected
 

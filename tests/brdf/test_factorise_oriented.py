@@ -22,6 +22,7 @@ from prtbake_workers.brdf.registry import brdf_from_spec
 from prtbake_workers.brdf.spectrum import energy_lost_by_terms
 from prtbake_workers.brdf.stored_factorisation import factorisation_from_tables
 from prtbake_workers.brdf.view_texture import fit_view_texture
+from prtbake_workers.percent import percent
 
 TINY = HemisphereGrid(4, 24)
 SMALL = HemisphereGrid(16, 64)
@@ -280,7 +281,7 @@ def test_a_lobe_too_narrow_for_the_terms_is_said_or_refused():
     sharp = brdf_from_spec(WardSpec(ks=1.0, alpha_x=0.05, alpha_y=0.2))
     found = factorise(sharp, n_terms=16, **coarse)
     assert "10 x 40 does not resolve the lobe" in found.note
-    assert f"{found.energy_lost:.1%} in truth" in found.note
+    assert f"{percent(found.energy_lost)} in truth" in found.note
     assert found.energy_lost > energy_lost_by_terms(found.singular_values, 16) + 0.02
     needle = brdf_from_spec(WardSpec(ks=1.0, alpha_x=0.02, alpha_y=0.03))
     with pytest.raises(BrdfError, match="too narrow") as caught:

@@ -1,9 +1,12 @@
 """Environments that shine together are seen to be there without being added up."""
 
+import numpy as np
 import pytest
 
 from prtbake_storage.errors import PrtError, SettingsError
-from prtbake_workers.jobs.lights import check_light, load_light
+from prtbake_workers.environment.environment import Environment
+from prtbake_workers.environment.summing import AddedLight
+from prtbake_workers.jobs.lights import check_light, load_light, share_notes
 from support.local_stages import registered
 
 
@@ -23,3 +26,13 @@ def test_lights_are_checked_one_by_one(store):
     for source in (gone, [own, bright | {"digest": gone}]):
         with pytest.raises(PrtError):
             check_light(store, source)
+
+
+def test_a_light_that_gives_little_is_not_told_to_give_nothing():
+    even = Environment(np.ones((4, 8, 3), np.float32))
+    bright, faint = AddedLight(even, 1.0), AddedLight(even, 2e-4)
+    (note,) = share_notes([bright, faint])
+    assert note.endswith("each gives 99.98%, 0.02%")
+    # negative twin: without any light there are no shares
+    (note,) = share_notes([AddedLight(even, 0.0)] * 2)
+    assert note.endswith("each gives none, none")

@@ -9,6 +9,7 @@ from prtbake_storage.errors import BrdfError
 from prtbake_workers.brdf.base import Brdf
 from prtbake_workers.brdf.factorisation import Factorisation
 from prtbake_workers.brdf.hemisphere_grid import HemisphereGrid, azimuthal_blocks, norm_of_order
+from prtbake_workers.percent import percent
 
 Found = TypeVar("Found", bound=Factorisation)
 
@@ -44,7 +45,7 @@ def with_measured_loss(found: Found, lost: float, ratio: float) -> Found:
         )
     note = (
         f"{grid} does not resolve the lobe (squared norm {ratio:.2f} of that on a finer one): the "
-        f"terms lose {found.energy_lost:.1%} of the energy there, {lost:.1%} in truth"
+        f"terms lose {percent(found.energy_lost)} of the energy there, {percent(lost)} in truth"
     )
     return replace(found, energy_lost=lost, note=f"{found.note}; {note}" if found.note else note)
 

@@ -35,6 +35,7 @@ from prtbake_workers.jobs.pointing import pointing_at
 from prtbake_workers.jobs.rounding import options
 from prtbake_workers.jobs.rows_file import write_rows
 from prtbake_workers.jobs.sized import write_asked
+from prtbake_workers.percent import percent
 from prtbake_workers.planning.cost import HELD_BYTES, factor_floats
 from prtbake_workers.planning.expected_sizes import expected_sizes
 from prtbake_workers.planning.presets import PartCompression, resolve_compression
@@ -324,7 +325,7 @@ def assemble(args: dict[str, Any], context: TaskContext) -> dict[str, Any]:
                 side = len(part.view_texture)
                 notes.append(
                     f"{part.name}: the view texture of {side} x {side} texels is off by "
-                    f"{view_error:.2%} of the radiance: the lobe is narrow for it"
+                    f"{percent(view_error)} of the radiance: the lobe is narrow for it"
                 )
         exact = make_asset(header, tuple(parts), args["compress"], source=args["transfer"])
         exact_path, path = context.scratch / "asset-float32.h5", context.scratch / "asset.h5"

@@ -8,6 +8,7 @@ from prtbake_storage.decode.relight import rotation_matrix
 from prtbake_storage.hdf5.resources import read_environment
 from prtbake_workers.environment.environment import Environment
 from prtbake_workers.environment.summing import AddedLight, sum_environments
+from prtbake_workers.percent import percent
 
 LightSource = str | list[dict[str, Any]]
 """Digest of an environment; of several, each one's ``digest``, ``scale`` and ``rotation_deg``."""
@@ -64,5 +65,5 @@ def share_notes(lights: Sequence[AddedLight]) -> list[str]:
     """Say what each of several lights gives of the power of all."""
     powers = [light.power for light in lights]
     whole = sum(powers)
-    shares = ", ".join(f"{power / whole:.0%}" if whole else "none" for power in powers)
+    shares = ", ".join(percent(power / whole) if whole else "none" for power in powers)
     return [f"{len(powers)} environments shine together: of their power each gives {shares}"]
