@@ -84,7 +84,7 @@ def test_a_distortion_followed_too_low_fails_no_component_that_goes_on_from_it(r
 
     Both are little beside the square of the constant.
     """
-    signal = 300.0 + rng.standard_normal((400, 200)).astype(np.float32)
+    signal = 400.0 + rng.standard_normal((400, 200)).astype(np.float32)
     _followed_too_low(monkeypatch, 0.9)
     for method in ("static", "iterative"):
         objective = compress_cpca(signal, 2, 1, method=method, seed=1, max_iterations=5).objective

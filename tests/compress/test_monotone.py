@@ -25,15 +25,15 @@ def test_a_rise_is_refused_with_its_step(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("may_rise", "expected"), [(False, [5.0, 4.0001, 4.0001]), (True, [5.0, 4.0, 4.0001])]
+    ("may_rise", "expected"), [(False, [5.0, 4.00001, 4.00001]), (True, [5.0, 4.0, 4.00001])]
 )
 def test_a_measured_objective_takes_the_place_of_the_last(
     may_rise: bool, expected: list[float]
 ) -> None:
     trace = ObjectiveTrace(20.0, "test", may_rise=may_rise)
-    for value in (5.0, 4.0, 4.0001 - 0.9 * FOLLOWED_SHORT * 20.0):
+    for value in (5.0, 4.0, 4.00001 - 0.9 * FOLLOWED_SHORT * 20.0):
         trace.append(value)
-    trace.measured(4.0001)
+    trace.measured(4.00001)
     assert trace.values == expected
     empty = ObjectiveTrace(10.0, "test")
     empty.measured(4.2)
