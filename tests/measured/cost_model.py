@@ -48,8 +48,8 @@ from prtbake_storage.contract.resources import EnvironmentRegistration, MeshRegi
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "measured"
 N_WORKERS = 2
-FIRST = 2
-"""Two jobs of the draw were looked at while the counts were made."""
+FIRST = 122
+"""Jobs before were looked at while the model was made and mended."""
 
 ABOUT = """\
 What `POST /v1/jobs:estimate` says of a job before it runs, beside what it took: random small jobs of

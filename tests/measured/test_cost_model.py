@@ -77,8 +77,8 @@ def test_the_table_grows_piece_by_piece(tmp_path):
 
 
 def test_training_jobs_are_none_of_those_held_out():
-    held = {Draw.of(number).request["seed"] for number in range(62)}
-    assert held == set(range(62))
-    training = [Draw.of(number, first_seed=TRAINING_SEED) for number in range(62)]
+    held = {Draw.of(number).request["seed"] for number in range(200)}
+    assert held == set(range(200))
+    training = [Draw.of(number, first_seed=TRAINING_SEED) for number in range(200)]
     assert TRAINING_SEED + len(training) < FIRST_SEED
     assert not any(one == Draw.of(one.number) for one in training)

@@ -28,7 +28,7 @@ def shifts(seed: int, start: int, stop: int, n_axes: int) -> Float64[F64, "point
 def shifted(
     pattern: Float64[F64, "samples axes"], shift: Float64[F64, "points axes"]
 ) -> Float64[F64, "points samples axes"]:
-    """Move a pattern on the torus, once for each point (Cranley and Patterson 1976).
+    """Move a pattern on the torus, once for each point ([CranleyPatterson1976]_).
 
     Each sample is uniform by itself, so means over them are unbiased.
     """

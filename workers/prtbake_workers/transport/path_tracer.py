@@ -2,7 +2,7 @@
 
 From a surface point paths go on for exactly B bounces.  At every vertex of a path the environment
 is sampled twice, by its own importance and along the direction in which the path goes on, and the
-two are weighted by the balance heuristic [Veach and Guibas 1995]; with f = rho cos, p the density
+two are weighted by the balance heuristic [Veach1995]_; with f = rho cos, p the density
 of the environment's samples and q that of directions,
 
     f L / (p + q)   for the one, where it is visible, and for the other, where it escapes.
