@@ -8,21 +8,17 @@ multiplications, a quarter of the residual's.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, vstack
-from scipy.spatial import cKDTree
 
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.transport.left_side import Workspace
 from prtbake_workers.transport.plain_product import PickedDirections, PlainProduct
-
-ASYMMETRY = 1e-9
-"""Largest deviation from symmetry, relative: far below float32, and above what whitening leaves
-but where a basis is nearly dependent."""
+from prtbake_workers.transport.symmetry import Image, image_of
 
 CACHED_ROWS = 48
 """Rows of coefficients unfolded at a time: at 642, arrays that are not mapped anew each time."""
@@ -74,8 +70,8 @@ class MirroredProduct:
         cls, projection: LeastSquaresProjection, directions: Float64[F64, "dirs 3"]
     ) -> "MirroredProduct | None":
         """Find a mirror and the inversion in a projection; None where it lacks them."""
-        inverted = _image(projection, directions, -np.ones(3))
-        mirrored = _image(projection, directions, np.array([1.0, 1.0, -1.0]))
+        inverted = image_of(projection, directions, -np.ones(3))
+        mirrored = image_of(projection, directions, np.array([1.0, 1.0, -1.0]))
         if inverted is None or mirrored is None:
             return None
         # what their product leaves in place would be paired with itself
@@ -212,47 +208,8 @@ def product_from_tables(arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str
     return kind.from_tables(arrays, numbers)
 
 
-class _Image(NamedTuple):
-    """What a symmetry does: index of each direction's image; of each function's, and its sign."""
-
-    directions: I64
-    functions: I64
-    signs: F64
-
-
-def _image(projection: LeastSquaresProjection, directions: F64, flips: F64) -> _Image | None:
-    """Follow directions and functions through a symmetry that moves every direction."""
-    distance, at = cKDTree(directions).query(directions * flips)
-    weights, matrix = projection.weights, projection.matrix
-    if (
-        distance.max() > ASYMMETRY
-        or len(np.unique(at)) < len(at)
-        or (at == np.arange(len(at))).any()
-        or np.abs(weights[at] - weights).max() > ASYMMETRY * weights.max()
-    ):
-        return None
-    # functions are told apart by a few sums over the directions
-    probes = np.random.default_rng(0).standard_normal((4, len(at)))
-    moved = np.empty_like(probes)
-    moved[:, at] = probes
-    before, after = (probes @ matrix).T, (moved @ matrix).T
-    _, found = cKDTree(np.concatenate([before, -before])).query(after)
-    functions = found % len(before)
-    signs = np.where(found < len(before), 1.0, -1.0)
-    if len(np.unique(functions)) < len(functions):
-        return None
-    image = _Image(at, functions, signs)
-    gram = projection.gram[np.ix_(functions, functions)] * np.outer(signs, signs)
-    same = np.abs(gram - projection.gram).max() <= ASYMMETRY * np.abs(projection.gram).max()
-    defect = max(
-        float(np.abs(matrix[at[some]] - matrix[some][:, functions] * signs).max())
-        for some in np.array_split(np.arange(len(at)), -(-len(at) // CACHED_ROWS))
-    )
-    return image if same and defect <= ASYMMETRY * np.abs(matrix).max() else None
-
-
 def _product(
-    projection: LeastSquaresProjection, mirrored: _Image, inverted: _Image
+    projection: LeastSquaresProjection, mirrored: Image, inverted: Image
 ) -> MirroredProduct:
     (m, move_m, sign_m), (i, move_i, sign_i) = mirrored, inverted
     own = np.arange(projection.n_coeffs)
