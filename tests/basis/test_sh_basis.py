@@ -12,6 +12,7 @@ from prtbake_workers.basis.incident import (
     basis_of,
     functions_from_tables,
 )
+from prtbake_workers.basis.projection import explained_energy
 from prtbake_workers.basis.sh import eval_sh
 from prtbake_workers.basis.sh_basis import ShBasis
 from prtbake_workers.basis.srbf import SrbfBasis
@@ -54,7 +55,7 @@ def test_the_residual_is_what_reconstruction_misses(cube, projection):
     samples = np.maximum(0.0, cube.directions @ NORMAL)[None, None] / np.pi
     coefficients = (samples @ projection.matrix).astype(np.float32)
     energy = np.einsum("vkd,d->v", samples**2, cube.weights)
-    found = projection.residual_energy(energy, coefficients)
+    found = energy - explained_energy(coefficients, projection.rest.astype(np.float32))
     missed = samples[0, 0] - ShBasis(5).reconstruction_matrix(cube.directions) @ coefficients[0, 0]
     np.testing.assert_allclose(found, missed**2 @ cube.weights, rtol=1e-2)
     # Parseval: of |max(0, cos)|^2 = 2 pi / 3 the bands hold the sum of (2 l + 1) / 4 pi A_l^2

@@ -337,23 +337,25 @@ def test_bounces_that_grow_by_the_noise_of_few_rays_end_with_the_least(
     assert endless[-1] > 1.05 * energies[-1]
 
 
-def test_bounces_that_are_found_anew_are_counted_on_and_may_be_stopped():
+@pytest.mark.parametrize("options", [{}, {"seed": 4, "max_bounces": 6}])
+def test_bounces_that_are_found_anew_are_counted_on_and_may_be_stopped(options):
     told = []
-    found = glossy_teapot(4, progress=lambda done, most: told.append((done, most)))
+    found = glossy_teapot(4, progress=lambda done, most: told.append((done, most)), **options)
     assert found.grows
-    anew = len(found.bounce_energies)
+    anew, most = len(found.bounce_energies), options.get("max_bounces", 40)
+    # the one that growth is told by is not, or all would seem done where it is the last
     grown = len(told) - anew
-    assert anew < grown < 40
+    assert anew <= grown < most
     # no bounce is told twice, and the last one is the last that there was to do
-    assert [done for done, _ in told] == list(range(1, grown + anew + 1))
-    assert [most for _, most in told] == [40] * grown + [grown + anew] * anew
+    again = range(grown + 2, grown + 2 + anew)
+    assert told == [(done, most) for done in range(1, grown + 1)] + [(n, again[-1]) for n in again]
 
     def stop(done, most):
         if done > grown:
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        glossy_teapot(4, progress=stop)
+        glossy_teapot(4, progress=stop, **options)
 
 
 def test_the_noise_of_bounces_that_grow_is_that_of_those_that_are_added():

@@ -300,7 +300,7 @@ def test_bytes_that_cut_a_trial_short_are_refused_and_not_the_error(store):
     size = sized(few, 12, few["options"][0]["terms"])
     budget = error | {"max_bytes": round(1.05 * size)}
     request = normal(budget, settings=fine, effects=NO_BOUNCES)
-    words = r"; 42 centres are predicted to take (\d+) bytes at least"
+    words = r"; 42 centres are tried where there are (\d+) bytes at least"
     with pytest.raises(SettingsError, match=words) as raised:
         run(store, request, begun(store, request))
     assert raised.value.pointer == "/budget/max_bytes"

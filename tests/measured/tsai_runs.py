@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtbake_storage.decode.quantise import INT16_MAX, finest_scale, levels, quantise
+from prtbake_workers.basis.projection import explained_energy
 from prtbake_workers.basis.srbf import SrbfBasis
 from prtbake_workers.brdf.cook_torrance import CookTorrance
 from prtbake_workers.brdf.factorisation import Factorisation
@@ -169,7 +170,8 @@ def projection_error(sampled: Sampled, basis: SrbfBasis, vertices: I64, samples:
     rows = samples.reshape(-1, sampled.cube.n)
     coefficients = (rows @ matrix).reshape(len(vertices), -1, basis.n)
     energy = np.einsum("vkd,vkd->v", samples, samples, dtype=np.float64)
-    return float(projection.residual_energy(energy, coefficients).sum() / energy.sum())
+    explained = explained_energy(coefficients, projection.rest.astype(np.float32))
+    return float(np.maximum(energy - explained, 0.0).sum() / energy.sum())
 
 
 @dataclass(frozen=True)

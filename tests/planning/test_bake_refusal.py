@@ -92,7 +92,7 @@ CUT = {
     "max_bytes": (
         {"max_bytes": 120_000},
         " in 120000 bytes",
-        "; 42 centres are predicted to take 250000 bytes at least",
+        "; 42 centres are tried where there are 250000 bytes at least",
     ),
     "max_seconds": (
         {"max_seconds": 400.0},

@@ -35,6 +35,8 @@ from prtbake_workers.planning.stage_work import (
 )
 from prtbake_workers.transport.bake import bake_block
 from prtbake_workers.transport.directions import cube_directions
+from prtbake_workers.transport.mirrored import product_of
+from prtbake_workers.transport.plain_product import PlainProduct
 
 SIZES = {"n_verts": 500, "n_terms": 4}
 COMPRESSION = PartCompression("cta", 6, (3, 12, 8), 6)
@@ -162,6 +164,21 @@ def test_the_rays_counted_are_those_that_a_bake_casts(supersample):
     assert block.n_rays == pytest.approx(predicted, rel=0.0 if supersample == 1 else 0.03)
     # negative twin: all directions would be twice as many
     assert block.n_rays < 0.6 * mesh.n_vertices * cube.n * supersample**2
+
+
+@pytest.mark.parametrize("fine", [12, 13])
+def test_multiplications_are_halved_where_the_product_is(fine):
+    cube = cube_directions(fine)
+    projection = SrbfBasis(icosphere(2)).projection(cube.directions, cube.weights)
+    plain = isinstance(product_of(projection, cube.directions), PlainProduct)
+    assert plain == (fine == 13)
+    own = BAKE.model_copy(update={"cube_resolution": fine})
+    work = bake_work(own, **SIZES, shadows=True, n_tiles=1)
+    other = bake_work(BAKE, **SIZES, shadows=True, n_tiles=1)
+    share = fine**2 / 12**2
+    assert work["flops"] == pytest.approx((2.0 if plain else 1.0) * share * other["flops"])
+    for unit in ("rays", "samples"):
+        assert work[unit] == pytest.approx(share * other[unit])
 
 
 def test_no_shadows_cast_no_ray_and_no_bounce_traces_none():

@@ -56,44 +56,16 @@ class LeastSquaresProjection:
         matrix = cho_solve(factor, weighted.T, overwrite_b=True, check_finite=False).T
         return np.ascontiguousarray(matrix)
 
-    @cached_property
-    def rest(self) -> Float32[F32, "coeffs coeffs"]:
+    @property
+    def rest(self) -> Float64[F64, "coeffs coeffs"]:
         """M + 2 ridge I without its identity: what `explained_energy` takes."""
-        rest = self.gram - (1.0 - 2.0 * self.ridge) * np.eye(self.n_coeffs)
-        return np.asarray(rest.astype(np.float32))
+        return self.gram - (1.0 - 2.0 * self.ridge) * np.eye(self.n_coeffs)
 
     @property
     def gram_defect(self) -> float:
         """RMS over the basis of what the directions fail to resolve: |M - I|_F / sqrt(n)."""
         deviation = self.gram - np.eye(self.n_coeffs)
         return float(np.linalg.norm(deviation) / np.sqrt(self.n_coeffs))
-
-    def residual_energy(
-        self, energy: Float64[F64, " verts"], coefficients: Float32[F32, "verts terms coeffs"]
-    ) -> Float64[F64, " verts"]:
-        """Squared radiance error of the projection, summed over the terms.
-
-        ``|T - B t|_W^2 = |T|_W^2 - t^T (M + 2 ridge I) t`` at the minimum.
-
-        Parameters
-        ----------
-        energy
-            |T|_W^2 of each vertex, all terms.
-        coefficients
-            Its whitened coefficients t.
-
-        Returns
-        -------
-        ndarray
-            Never negative.
-
-        Notes
-        -----
-        ``M = I + (M - I)``: apart, the large part and the small one lose less to float32.  What
-        is left of cancellation is the rounding of t, about 1e-7 of the energy; see
-        `residual_energy_direct` for vertices where that matters.
-        """
-        return np.asarray(np.maximum(energy - explained_energy(coefficients, self.rest), 0.0))
 
     def residual_energy_direct(
         self,
@@ -108,7 +80,23 @@ class LeastSquaresProjection:
 def explained_energy(
     coefficients: Float32[F32, "verts terms coeffs"], rest: Float32[F32, "coeffs coeffs"]
 ) -> Float64[F64, " verts"]:
-    """Sum ``|t|^2 + t^T rest t`` over the terms: what a fit explains of the signal's energy."""
+    """Give what a fit explains of the signal's energy, summed over the terms.
+
+    ``|T - B t|_W^2 = |T|_W^2 - t^T (M + 2 ridge I) t`` at the minimum: the latter.
+
+    Parameters
+    ----------
+    coefficients
+        Whitened coefficients t.
+    rest
+        See `LeastSquaresProjection.rest`.
+
+    Notes
+    -----
+    ``M = I + (M - I)``: apart, the large part and the small one lose less to float32.  What is left
+    of cancellation is the rounding of t, about 1e-7 of the energy; see `residual_energy_direct` for
+    vertices where that matters.
+    """
     flat = coefficients.reshape(-1, len(rest))
     own = np.vecdot(flat, flat).astype(np.float64) + np.vecdot(flat @ rest, flat)
     return np.asarray(own.reshape(coefficients.shape[:2]).sum(axis=1))

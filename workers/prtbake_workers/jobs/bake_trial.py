@@ -19,7 +19,6 @@ from prtbake_workers.jobs.scene_file import PlannedScene
 from prtbake_workers.jobs.search_stages import BAKE
 from prtbake_workers.percent import percent
 from prtbake_workers.planning.bake_model import Cut, effects_left_out, sized
-from prtbake_workers.planning.bake_refusal import LATER_SIZE
 from prtbake_workers.planning.bake_search import BOUNCE_SHARE, NEARLY
 from prtbake_workers.planning.file_bytes import term_bytes
 from prtbake_workers.planning.ladder_steps import terms_at
@@ -251,7 +250,7 @@ def _candidates(
             return False
         size = sized(found, n_centres, fewest)
         if budget.max_bytes is not None and size > NEARLY * budget.max_bytes:
-            cut = Cut("max_bytes", n_centres, ceil(size / LATER_SIZE))
+            cut = Cut("max_bytes", n_centres, ceil(size / NEARLY))
         elif time is not None and not time.holds(work):
             cut = Cut("max_seconds", n_centres, time.least(work))
         return cut is None
@@ -269,5 +268,5 @@ def _candidates(
 
 
 def coarsest(n_centres: int) -> int:
-    """Give the coarsest cube map that tells so many functions apart."""
-    return ceil(sqrt(DIRECTIONS_A_FUNCTION * n_centres / 6.0))
+    """Give the coarsest even cube map that tells so many functions apart: see `MirroredProduct`."""
+    return 2 * ceil(0.5 * sqrt(DIRECTIONS_A_FUNCTION * n_centres / 6.0))

@@ -161,11 +161,10 @@ def _cut_in_words(budget: BakeBudget, cut: Cut | None) -> tuple[str, str]:
     """Say in what an error cannot be met, and what the next centres take of it."""
     if cut is None:
         return "", ""
-    if cut.field == "max_bytes":
-        words = f"are predicted to take {cut.least} bytes at least"
-        return f" in {budget.max_bytes} bytes", f"; {cut.n_centres} centres {words}"
-    words = f"are tried where there are {cut.least} s at least"
-    return f" in {budget.max_seconds:g} s", f"; {cut.n_centres} centres {words}"
+    in_bytes = cut.field == "max_bytes"
+    inside = f"{budget.max_bytes} bytes" if in_bytes else f"{budget.max_seconds:g} s"
+    least = f"{cut.least} {'bytes' if in_bytes else 's'}"
+    return f" in {inside}", f"; {cut.n_centres} centres are tried where there are {least} at least"
 
 
 def _whose(model: BakeModel, part: int) -> str:

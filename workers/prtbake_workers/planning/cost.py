@@ -128,8 +128,11 @@ def tile_memory_bytes(bake: PlannedBake, *, n_terms: int, n_verts: int, flat: bo
     all of them.
     """
     n_dirs, n_coeffs = 6 * bake.cube_resolution**2, bake.n_coeffs
-    # the basis in float64, its mirrored product in float32, and every thread's share of that
-    projection = (8 + 5 + 4 * bake.threads) * n_dirs * n_coeffs + 32 * n_coeffs**2
+    # the basis in float64, its product in float32, and what every thread picks of that: more than
+    # half of the directions, of which a mirrored product takes one of two
+    product, picked = (4.0, 2.4) if bake.cube_resolution % 2 else (5.0, 1.6)
+    projection = int((8.0 + product + picked * bake.threads) * n_dirs * n_coeffs)
+    projection += 32 * n_coeffs**2
     values = n_verts * n_terms * n_coeffs
     group = n_verts if flat else min(n_verts, max(GROUP_VERTS, n_verts // GROUPS))
     samples = min(CHUNK_BYTES // (4 * n_terms), group * n_dirs // 2)

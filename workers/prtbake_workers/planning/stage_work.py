@@ -76,7 +76,11 @@ def shadow_rays(bake: PlannedBake, *, n_verts: int) -> int:
 def bake_work(
     bake: PlannedBake, *, n_verts: int, n_terms: int, shadows: bool, n_tiles: int
 ) -> dict[str, float]:
-    """Count what baking a part does: rays, samples of psi V cos, their projection, storing it."""
+    """Count what baking a part does: rays, samples of psi V cos, their projection, storing it.
+
+    Of SRBFs so wide that they nearly depend on each other half of the multiplications are counted:
+    whether they have a `MirroredProduct` shows when it is made.
+    """
     n_dirs = 3 * bake.cube_resolution**2
     # directions in the mirror's plane have no pairs: see `MirroredProduct`
     unpaired = 2.0 if bake.cube_resolution % 2 else 1.0

@@ -291,12 +291,13 @@ class _Series:
                 whole += one
             self.energies.append(_energy(self._scene, self.sent))
             self.total = _energy(self._scene, self.totals)
+            done = (self.energies[-1] <= self._tolerance * self.total).all()
+            if not done and may_grow and self._grow(is_last=len(self.energies) == most):
+                return True
             if progress is not None:
                 progress(before + len(self.energies), before + most)
-            if (self.energies[-1] <= self._tolerance * self.total).all():
+            if done:
                 return False
-            if may_grow and self._grow(is_last=len(self.energies) == most):
-                return True
         return False
 
     def _grow(self, *, is_last: bool) -> bool:

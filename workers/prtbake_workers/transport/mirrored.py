@@ -17,7 +17,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 from prtbake_workers.arrays import F32, F64, I64, Float32, Float64, Int64
 from prtbake_workers.basis.projection import LeastSquaresProjection
 from prtbake_workers.transport.left_side import Workspace
-from prtbake_workers.transport.plain_product import PickedDirections, PlainProduct
+from prtbake_workers.transport.plain_product import PLAIN, PickedDirections, PlainProduct
 from prtbake_workers.transport.symmetry import Image, image_of
 
 CACHED_ROWS = 48
@@ -204,8 +204,8 @@ def product_of(projection: LeastSquaresProjection, directions: Float64[F64, "dir
 
 def product_from_tables(arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any]) -> Product:
     """Read back what the ``tables`` of either product gave."""
-    kind = MirroredProduct if numbers["kind"] == MIRRORED else PlainProduct
-    return kind.from_tables(arrays, numbers)
+    kinds: dict[str, type[Product]] = {MIRRORED: MirroredProduct, PLAIN: PlainProduct}
+    return kinds[numbers["kind"]].from_tables(arrays, numbers)
 
 
 def _product(
@@ -221,7 +221,7 @@ def _product(
     # the one of a pair's images that is the other function
     swap = np.argmax(images[:, twos] != twos, axis=0)
     partners, partner_signs = images[swap, twos], signs[swap, twos]
-    rest = projection.gram - (1.0 - 2.0 * projection.ridge) * np.eye(len(own))
+    rest = projection.rest
     offsets, quadratic, combinations = [0], [], []
     pair_columns, single_columns = np.empty((2, len(twos)), np.int64), ones.copy()
     for parity in PARITIES:

@@ -44,14 +44,13 @@ class PlainProduct:
     def of(cls, projection: LeastSquaresProjection) -> "PlainProduct":
         """Convert to float32 once."""
         matrix = projection.matrix / np.sqrt(projection.weights)[:, None]
-        return cls(matrix.astype(np.float32), projection.rest)
+        return cls(matrix.astype(np.float32), projection.rest.astype(np.float32))
 
     @classmethod
     def from_tables(
-        cls, arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any]
+        cls, arrays: Mapping[str, NDArray[Any]], _: Mapping[str, Any]
     ) -> "PlainProduct":
         """Read back what `tables` gave."""
-        assert numbers["kind"] == PLAIN
         return cls(arrays["matrix"], arrays["rest"])
 
     def tables(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
